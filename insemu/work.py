@@ -11,11 +11,12 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing import active_children, parent_process
 from multiprocessing.connection import wait as wait_for
 from pathlib import Path
 from threading import Thread
-from typing import Any, BinaryIO, Generic, Protocol, TypeVar
+from typing import Any, BinaryIO, Generic, ParamSpec, Protocol, TypeVar
 from zipfile import BadZipFile
 
 import portalocker
@@ -24,6 +25,7 @@ from insemu.errors import InputError
 
 T = TypeVar("T")
 R = TypeVar("R")
+P = ParamSpec("P")
 
 
 class Store(Protocol[R]):
@@ -115,6 +117,20 @@ def run_items(
     done : callable, optional
     """
     return dict(stream_items(items, work, pool=pool, store=store, done=done, window=max(1, len(items))))
+
+
+def meanwhile(pool: Executor | None, work: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> Callable[[], R]:
+    """Begin work beside this process, and return what waits for its result; without a pool it is done here once that is asked for.
+
+    Parameters
+    ----------
+    pool : Executor or None
+    work : callable
+        With a pool of processes, a function of a module.
+    *args, **kwargs
+        Its arguments.
+    """
+    return partial(work, *args, **kwargs) if pool is None else pool.submit(work, *args, **kwargs).result
 
 
 @contextmanager

@@ -254,7 +254,8 @@ def told_step(start: int, length: int, monkeypatch) -> list[float]:
     y[start : start + length, 0] = 5.0 / 0.5
     monkeypatch.setattr(steps, "_axis_steps", lambda scene, s, c: G[:, c::3])
     scene = SimpleNamespace(
-        noise=None, starts=starts, step_columns=G, whitened=lambda x: x, prepared=SimpleNamespace(result=SimpleNamespace(fixes=SimpleNamespace(t=t))),
+        noise=None, starts=starts, rows_t=np.repeat(t, 3), step_columns=G,
+        whitened=lambda x: x, prepared=SimpleNamespace(result=SimpleNamespace(fixes=SimpleNamespace(t=t))),
     )  # fmt: skip
     found = steps.multipath_step(Unexplained(scene, Field(y.ravel(), G), slice(None), []))
     return [v.value for h in found for v in h.values if v.name == "duration"]

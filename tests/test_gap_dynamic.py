@@ -5,7 +5,9 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,6 +45,7 @@ from insemu.gap.evidence.modes import Free, laplace
 from insemu.gap.evidence.rolloff import Rolloff
 from insemu.gap.evidence.surrogate import Colour, FixNoise, Surrogate
 from insemu.gap.hypothesis import Found, best_first, class_of
+from insemu.gap.policy import Policy, rules
 from insemu.gap.problems.band import fast_effects
 from insemu.gap.problems.findings import unknown_part
 from insemu.gap.problems.named import rivals_of
@@ -52,6 +55,7 @@ from insemu.noise import RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Gnss, Initial
 from insemu.trial.run import Job
+from insemu.work import processes
 
 Array = NDArray[np.float64]
 BELIEF = {a: NoiseModel((WN(1e-4), RW(1e-6)) if a.startswith("gyro") else (WN(1e-3), RW(1e-5))) for a in AXES}
@@ -779,6 +783,22 @@ def test_a_wrong_lever_arm_is_named_and_the_gap_closes() -> None:
     assert report.held_out.value > 0.05
     assert abs(report.gap_after.value - 1.0) < abs(report.gap_before.value - 1.0)
     assert math.isfinite(report.to_json()["gap_index"]["after"]["value"])
+
+
+def test_held_out_figures_of_another_process_are_the_same() -> None:
+    """Under a policy of the caller's, too, which another process does not know by itself."""
+    made, nominal = recording(use(effect="lever_arm", value=[0.3, 0, 0]), seed=5), believed(np.random.default_rng(5))
+    half = replace(rules(), naming_share=0.5)
+
+    def looked(pool: Executor | None, policy: Policy | None) -> dict[str, Any]:
+        rng = np.random.default_rng(1)
+        return find_gap(made, nominal, rng=rng, pictures=False, policy=policy, pool=pool).to_json()
+
+    here = looked(None, half)
+    with processes(2) as pool:
+        assert pool is not None and pool.submit(abs, -1).result() == 1  # begun before the policy is in force
+        assert looked(pool, half) == here
+    assert looked(None, None)["held_out"] != here["held_out"]
 
 
 @pytest.mark.slow

@@ -262,15 +262,14 @@ def test_a_step_that_a_filter_follows_within_a_few_fixes_is_found() -> None:
     """At 4 Hz evenly spaced starts are 12 fixes apart: of 93 nats none was seen."""
     step = sensors.Hidden("gnss_multipath_step", "gnss", "east", {"value": 0.146, "start": 97.98, "duration": 80.87})
     scene = Scene.of(Flown.of(*taken(sensors.draw_world(500046, 360.0, True), (step,))).prepared)
-    rows = np.ones(scene.rows_t.size, dtype=bool)
-    (found,) = multipath_step(Unexplained(scene, scene.data, rows, scene.always))
+    (found,) = multipath_step(Unexplained(scene, scene.data, slice(None), scene.always))
     assert found.axes == ("east",) and found.nats > 40.0
     value, start, duration = found.values
     assert value.low < 0.146 < value.high and start.low < 97.98 < start.high
     assert duration.low < 80.87 < duration.high
     # where nothing is hidden nothing is found
     scene = Scene.of(Flown.of(*taken(sensors.draw_world(500046, 360.0, True), ())).prepared)
-    assert all(h.nats < 3.0 for h in multipath_step(Unexplained(scene, scene.data, rows, scene.always)))
+    assert all(h.nats < 3.0 for h in multipath_step(Unexplained(scene, scene.data, slice(None), scene.always)))
 
 
 def test_the_fixes_behind_which_residuals_surprise() -> None:
@@ -470,7 +469,7 @@ def test_a_step_behind_a_colour_is_found_at_its_edges() -> None:
     """Evenly spaced times miss them: a step of 8 white standard deviations was not seen."""
     step = use(effect="gnss_multipath_step", value=[0.0, 0.4, 0.0], start=121.4, duration=41.0)
     scene = behind_a_colour(recording(COLOUR, step))
-    given, rows = list(scene.always), np.ones(scene.rows_t.size, dtype=bool)
+    given, rows = list(scene.always), slice(None)
     (found,) = multipath_step(Unexplained(scene, scene.data, rows, given))
     told = {v.name: v for v in found.values}
     assert found.axes == ("east",) and found.nats > 10.0

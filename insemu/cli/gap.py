@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from insemu.cli.counts import WORKERS
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -49,11 +51,19 @@ def command(
         "car", "--vehicle", help="What there is to drive or fly it with: car, multirotor, helicopter, fixed_wing."
     ),
     hold_out: bool = typer.Option(
-        True, "--hold-out/--no-hold-out", help="Score on data that was not used for naming (twice the time)."
+        True, "--hold-out/--no-hold-out", help="Score on data that was not used for naming (twice the work)."
+    ),
+    workers: int | None = typer.Option(
+        None,
+        "--workers",
+        min=1,
+        max=WORKERS,
+        help="Processes; a second one scores a drive or flight on held-out fixes. Default the number of cores.",
     ),
 ) -> None:
     """Find where a recording and a model disagree, name the missing effect, add it and show the gap shrink."""
     import json
+    import os
     from pathlib import Path
 
     import numpy as np
@@ -67,6 +77,7 @@ def command(
     from insemu.errors import InputError, nearest
     from insemu.gap import applied, find_gap, from_its_start, is_looked_at, load_measured, load_nominal, write_refined
     from insemu.whole import put
+    from insemu.work import processes
 
     if vehicle not in VEHICLES:
         raise InputError(f"unknown vehicle '{vehicle}'" + nearest(vehicle, VEHICLES), where="--vehicle")
@@ -92,7 +103,7 @@ def command(
             highlight=False,
             markup=False,
         )
-    with staged(Console(stderr=True), STAGES) as say:
+    with processes(min(workers or os.cpu_count() or 1, 2)) as pool, staged(Console(stderr=True), STAGES) as say:
         report = find_gap(
             data,
             nominal,
@@ -100,6 +111,7 @@ def command(
             without=tuple(without or ()),
             hold_out=hold_out,
             progress=say,
+            pool=pool,
         )
     folder = Path(out) if out else Path("results") / f"gap_{Path(measured).stem}"
     chosen = applied(report, numbers) if numbers else report

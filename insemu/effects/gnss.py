@@ -535,7 +535,8 @@ class PositionFilter(_OfFixes):
 
     def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
         """What the horizontal positions are behind, and the height: smoothed shortly, then longer."""
-        return [self._behind(motion, fixes, tau, axes) for axes in (NED[:2], NED[2:]) for tau in TRACKED_S]
+        swing = swing_along(motion.C, motion.rate, fixes.lever_arm)
+        return [self._behind(motion, fixes, swing, tau, axes) for axes in (NED[:2], NED[2:]) for tau in TRACKED_S]
 
     def subsets(self, columns: Sequence[Column]) -> list[Subset]:
         """Each alone."""
@@ -543,11 +544,11 @@ class PositionFilter(_OfFixes):
 
     def about(self, column: Column, value: float, motion: Motion, fixes: FixGeometry) -> Column:
         """What positions are behind that are smoothed by the root of that."""
-        return self._behind(motion, fixes, math.sqrt(value), column.axes)
-
-    def _behind(self, motion: Motion, fixes: FixGeometry, tau: float, axes: tuple[str, ...]) -> Column:
-        M = np.zeros((fixes.t.size, 6))
         swing = swing_along(motion.C, motion.rate, fixes.lever_arm)
+        return self._behind(motion, fixes, swing, math.sqrt(value), column.axes)
+
+    def _behind(self, motion: Motion, fixes: FixGeometry, swing: Array, tau: float, axes: tuple[str, ...]) -> Column:
+        M = np.zeros((fixes.t.size, 6))
         for k in map(NED.index, axes):
             a = motion.steady_acceleration[:, k]
             M[:, k] = -_behind_tracker(fixes.t, motion.t, a, swing[:, k], tau) / tau**2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +19,7 @@ from insemu.gap.candidates.mounting import Mounted, find_mounting
 from insemu.gap.candidates.timing import find_times
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.drive.preparation import Flown
+from insemu.gap.holdout import DriveScore
 from insemu.gap.policy import Policy, rules, under
 from insemu.gap.problems.aids import Looked, aids_looked_at, check_aids
 from insemu.gap.problems.findings import with_effect
@@ -44,6 +46,7 @@ def find_gap(
     progress: Callable[[str], None] | None = None,
     flown: Flown | None = None,
     policy: Policy | None = None,
+    pool: Executor | None = None,
 ) -> GapReport:
     """Find, name and add what the nominal model lacks.
 
@@ -70,6 +73,8 @@ def find_gap(
         The nominal filter's run on a drive or flight, where it is there already; of a nominal model in whose ``effects`` there is nothing.
     policy : Policy, optional
         The constants of the search; those in force where it is not given.
+    pool : Executor, optional
+        One process of it scores on held-out fixes of a drive or flight, while this one goes on; the answer is the same.
 
     Raises
     ------
@@ -77,7 +82,9 @@ def find_gap(
         Data or beliefs that cannot be used.
     """
     with under(policy):
-        return _find(measured, nominal.parted(), rng, without, hold_out, pictures, progress or (lambda _: None), flown)
+        return _find(
+            measured, nominal.parted(), rng, without, hold_out, pictures, progress or (lambda _: None), flown, pool
+        )
 
 
 def _find(
@@ -89,6 +96,7 @@ def _find(
     pictures: bool,
     progress: Callable[[str], None],
     flown: Flown | None,
+    pool: Executor | None,
 ) -> GapReport:
     if isinstance(measured, StaticLog):
         log, known = static_without(measured, nominal)
@@ -114,6 +122,7 @@ def _find(
             hold_out and pictures,
             progress,
             flown,
+            pool,
         )
     return held_out_said(report)
 
@@ -127,6 +136,7 @@ def _drive(
     pictures: bool,
     say: Callable[[str], None],
     flown: Flown | None,
+    pool: Executor | None,
 ) -> GapReport:
     from insemu.gap.problems.drive import find_dynamic_gap
 
@@ -160,15 +170,19 @@ def _drive(
     own_axes = in_imu_axes(recording, moved)
     if own_axes[0] is not recording:
         (recording, moved), flown = own_axes, None
-    report = find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=hold_out, progress=say, flown=flown)
+    scores = pool if hold_out else None
+    report, held_out = find_dynamic_gap(recording, moved, rng=rng, without=skip, progress=say, flown=flown, pool=scores)
     known = struck_out(drive_without(measured, now, {})[0], recording)
     report = replace(report, outliers=both_told(measured, known, report.outliers))
     out = _together(report, early, mounted, nominal)
 
     def search(recording: Recording, moved: Nominal) -> GapReport:
-        return find_dynamic_gap(recording, moved, rng=rng, without=skip, hold_out=False, progress=say)
+        return find_dynamic_gap(recording, moved, rng=rng, without=skip, progress=say)[0]
 
     out, refined = _looked_closer(measured, nominal, out, search, [s.effect for s in early], say)
+    if hold_out:
+        say("scoring on held-out fixes")
+        out = _scored(out, held_out(), mounted)
     if not (pictures or measured.aids):
         return out
     after = Flown.of(*(refined or _refined(measured, nominal, out))) if out.findings else first
@@ -318,33 +332,34 @@ def _together(report: GapReport, early: list[Finding], mounted: Mounted | None, 
     for finding in early:
         findings = _added_up(findings, finding)
     findings.sort(key=lambda s: -s.nats)
-    where, after, held = report.where, report.after, report.held_out
-    before_index, after_index, burst = report.gap_before, report.gap_after, report.burst
+    where, after = report.where, report.after
     if mounted is not None:
         where = tuple(sorted((*where, *mounted.where), key=lambda w: w.p_value))
         after = tuple(sorted((*after, *mounted.after), key=lambda w: w.p_value))
-        if mounted.dof and math.isfinite(before_index.value):
-            fixes = mounted.dof / 2
-            gain, sd = mounted.gain
-            held = _sum([held, Interval(gain / fixes, (gain - 1.96 * sd) / fixes, (gain + 1.96 * sd) / fixes)])
-            # the motion across the vehicle and the innovations count alike
-            across = [chi_square / mounted.dof for chi_square in mounted.chi_square]
-            before_index = _mean(before_index, across[0], mounted.dof)
-            after_index = _mean(after_index, across[1], mounted.dof)
-            if burst is not None:
-                burst = replace(burst, without=_mean(burst.without, across[1], mounted.dof))
     return replace(
         report,
         verdict=judged(findings, report.remainder, [s.effect for s in early]),
         findings=tuple(findings),
         where=where,
         after=after,
-        gap_before=before_index,
-        gap_after=after_index,
-        burst=burst,
-        held_out=held,
         nominal=dict(nominal.beliefs),
     )
+
+
+def _scored(report: GapReport, score: DriveScore, mounted: Mounted | None) -> GapReport:
+    """The report with figures on held-out fixes, and on the held-out motion across the vehicle where its mounting was looked at."""
+    if mounted is not None and mounted.dof and math.isfinite(score.before.value):
+        fixes = mounted.dof / 2
+        gain, sd = mounted.gain
+        held = _sum([score.gain, Interval(gain / fixes, (gain - 1.96 * sd) / fixes, (gain + 1.96 * sd) / fixes)])
+        # the motion across the vehicle and the innovations count alike
+        across = [chi_square / mounted.dof for chi_square in mounted.chi_square]
+        burst = score.burst
+        if burst is not None:
+            burst = replace(burst, without=_mean(burst.without, across[1], mounted.dof))
+        before, after = (_mean(i, a, mounted.dof) for i, a in zip((score.before, score.after), across, strict=True))
+        score = DriveScore(before, after, held, burst)
+    return replace(report, gap_before=score.before, gap_after=score.after, held_out=score.gain, burst=score.burst)
 
 
 def _added_up(findings: list[Finding], earlier: Finding) -> list[Finding]:

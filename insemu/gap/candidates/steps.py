@@ -55,10 +55,10 @@ def multipath_step(beside: Unexplained) -> list[DriveHypothesis]:
     return [(step if at_edges is None or step.nats > at_edges.nats else at_edges).told()]
 
 
-def _lasting(scene: Scene, rows: NDArray[np.bool_] | slice) -> tuple[float, float]:
+def _lasting(scene: Scene, rows: slice) -> tuple[float, float]:
     """Durations of the shortest and the longest step among the fixes that are looked at, s."""
     t = scene.prepared.result.fixes.t
-    seen = t if isinstance(rows, slice) else t[t <= scene.rows_t[rows][-1]]
+    seen = t[t <= scene.rows_t[rows][-1]]
     return rules().shortest_step * float(np.median(np.diff(t))), rules().longest_step * float(seen[-1] - seen[0])
 
 

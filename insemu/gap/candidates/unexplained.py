@@ -24,13 +24,13 @@ class Unexplained:
         The recording with its responses.
     data : Field
         The innovations of the rows that are looked at.
-    rows : (r,) array of bool, or slice
+    rows : slice
         Which rows of the recording's field these are.
     given : sequence of Block
         What is explained.
     """
 
-    def __init__(self, scene: Scene, data: Field, rows: NDArray[np.bool_] | slice, given: Sequence[Block]) -> None:
+    def __init__(self, scene: Scene, data: Field, rows: slice, given: Sequence[Block]) -> None:
         self.scene, self.data, self.rows, self.given = scene, data, rows, given
 
     @cached_property

@@ -93,23 +93,26 @@ class Scene:
         original: Prepared | None = None,
         corrections: Mapping[int, float] | None = None,
         windows: tuple[Window, ...] = (),
+        known: Sequence[Column] = (),
     ) -> Scene:
-        """Collect every column; responses through the filter in the loop are worked out when they are asked for."""
+        """Collect every column; responses through the filter in the loop are worked out when they are asked for.
+
+        The catalogue's columns of another scene, ``known``, say what corrections are of.
+        """
         motion = prepared.motion
         loop = Loop.of(prepared.result)
         t_fix = prepared.result.fixes.t
         fixes = FixGeometry.of(motion, t_fix, prepared.lever_arm, prepared.nominal.mounting)
-        columns = catalogue_columns(motion, fixes)
-        if (tau := smoothing(prepared.nominal, columns, corrections or {})).any():
+        if (tau := smoothing(prepared.nominal, known, corrections or {})).any():
             fixes = fixes.smoothed(motion, tau)
-            columns = catalogue_columns(motion, fixes)
+        columns = catalogue_columns(motion, fixes)
         catalogue = len(columns)
-        known = [u for u in prepared.nominal.effects if u.effect.does("more")]
+        more = [u for u in prepared.nominal.effects if u.effect.does("more")]
         for j, c in enumerate(columns):
             # of data less a known size: what one more of it does
             size = known_size(prepared.nominal, c)
             columns[j] = slope_about(c, size, motion, fixes) if size else c
-            for use in known:
+            for use in more:
                 if (use.id, use.sensor) == (c.effect, c.sensor):
                     columns[j] = use.effect.more(columns[j], use, motion)
         for j, value in (corrections or {}).items():
@@ -262,7 +265,16 @@ class Scene:
     @cached_property
     def rows_t(self) -> Array:
         """Time of every row of the field."""
-        return np.asarray(np.repeat(self.prepared.result.fixes.t, 6)[self.loop.use.ravel()])
+        return np.asarray(np.repeat(self.prepared.result.fixes.t, 6)[self._rows])
+
+    @cached_property
+    def _rows(self) -> NDArray[np.int64]:
+        """Which of all components, fix by fix, are rows of the field."""
+        return np.flatnonzero(self.loop.use)
+
+    def upto(self, cut: float | None) -> slice:
+        """Rows of the field up to a time, s; all of them without one."""
+        return slice(None if cut is None else int(np.searchsorted(self.rows_t, cut, side="right")))
 
     @cached_property
     def full_y(self) -> Array:
@@ -283,7 +295,7 @@ class Scene:
             white = self.loop.whiten(raw)
         else:
             white = self.surrogate.whitened(raw, self._gains).reshape(6 * raw.shape[0], raw.shape[2])
-        return np.asarray(white[self.loop.use.ravel()])
+        return np.asarray(white.take(self._rows, axis=0))
 
     @property
     def data(self) -> Field:
@@ -305,17 +317,15 @@ class Scene:
         """The field up to a time, s; of the whole recording without one."""
         plain, wide = self._plain, self._wide
         if cut is not None and cut not in plain:
-            plain[cut] = plain[None].rows(self.rows_t <= cut)
+            plain[cut] = plain[None].rows(self.upto(cut))
         if cut not in wide:
-            more = self.whitened(self.window_answers(self.windows))
-            wide[cut] = (
-                plain[cut].wider(more if cut is None else more[self.rows_t <= cut]) if self.windows else plain[cut]
-            )
+            more = self.whitened(self.window_answers(self.windows))[self.upto(cut)]
+            wide[cut] = plain[cut].wider(more) if self.windows else plain[cut]
         return wide[cut]
 
     def _field(self, G: Array, corrected: Array) -> Field:
         """The field of some columns, what was corrected put back."""
-        y = self.full_y.ravel()[self.loop.use.ravel()].copy()
+        y = self.full_y.ravel()[self._rows]
         spread = float(np.clip((np.median(np.abs(y)) / 0.6745) ** 2, 0.9, 1.1))
         y += corrected @ np.array(list(self.corrections.values()))
         return Field(y, G, spread)
@@ -387,9 +397,8 @@ class Scene:
                 columns[j] = self._at_size(j, values[j], self._geometry)
         imu, gnss, state = corrected_data(original, columns, values, self.prepared.result.fixes.t)
         run = replace(original, result=self.prepared.result, start=(state, original.start[1]))
-        scene = Scene.of(run.again(imu=imu, gnss=gnss), original, values, self.windows)
-        scene.noise = self.noise
-        return scene
+        known, run = self.columns[: self.catalogue], run.again(imu=imu, gnss=gnss)
+        return Scene.of(run, original, values, self.windows, known).coloured(self.noise)
 
     def steadied_again(self, blocks: Sequence[Block], cut: float | None = None) -> Scene:
         """The scene with velocities as the shaking leaves them beside what was found: on a lever arm that was, and without what stood for noise.
@@ -472,8 +481,7 @@ class Scene:
     def _left(self, blocks: Sequence[Block], cut: float | None) -> float:
         """Half the sum of squares of what blocks leave of the field up to a time."""
         index, away = self.explaining(blocks, cut)
-        z = self.full_y.ravel()[self.loop.use.ravel()] - self._columns(index) @ away
-        z = z if cut is None else z[self.rows_t <= cut]
+        z = (self.full_y.ravel()[self._rows] - self._columns(index) @ away)[self.upto(cut)]
         return 0.5 * float(z @ z)
 
     def at_size(self, blocks: Sequence[Block], cut: float | None = None) -> Scene:
@@ -509,8 +517,7 @@ class Scene:
         index = np.unique(np.concatenate([np.array(others, dtype=np.int64), *(i for i, _ in rest)]))
         G = self.whitened(self._responses(index))
         put_back = G[:, np.searchsorted(index, others)] @ np.array([self.corrections[i] for i in others])
-        rows = np.ones(self.rows_t.size, dtype=bool) if cut is None else self.rows_t <= cut
-        y = self.full_y.ravel()[self.loop.use.ravel()] + put_back
+        y, rows = self.full_y.ravel()[self._rows] + put_back, self.upto(cut)
         # what the rest explains of anything, as a projection
         W = np.hstack([np.zeros((y.size, 0)), *(G[:, np.searchsorted(index, i)] @ root for i, root in rest)])[rows]
         rest_of = np.linalg.solve(np.linalg.cholesky(np.eye(W.shape[1]) + W.T @ W), W.T)
@@ -586,8 +593,7 @@ class Scene:
             np.add.at(coefficients, np.searchsorted(index, at), mean)
         elif blocks:  # of a scene that may be rebuilt at once only what is asked for
             G = self.whitened(self._responses(index))
-            data = self._field(G, G[:, np.searchsorted(index, corrected)])
-            data = data if cut is None else data.rows(self.rows_t <= cut)
+            data = self._field(G, G[:, np.searchsorted(index, corrected)]).rows(self.upto(cut))
             at, mean, _ = data.posterior([(np.searchsorted(index, i), root) for i, root in blocks])
             np.add.at(coefficients, at, mean)
         coefficients[np.searchsorted(index, corrected)] -= np.array(list(self.corrections.values()))

@@ -137,9 +137,9 @@ class Field:
             out.__dict__["A"] = np.block([[self.A, cross], [cross.T, more.T @ more / self.variance]])
         return out
 
-    def rows(self, keep: NDArray[np.bool_]) -> Field:
+    def rows(self, keep: slice) -> Field:
         """The same on some of the rows."""
-        return Field(self.y[keep], np.ascontiguousarray(self.G[keep]), self.variance)
+        return Field(self.y[keep], self.G[keep], self.variance)
 
 
 def marginal(A: Array, b: Array, block: Block) -> tuple[Array, Array]:

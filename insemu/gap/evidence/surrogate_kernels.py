@@ -99,22 +99,22 @@ def surrogate_gains(
         if first[i] > 0.0:
             P[i, i] += p_g[i]
             P[i, n + j] = P[n + j, i] = p_g[i]
-    T = np.zeros((m, n))
+    T, row = np.zeros((m, n)), np.zeros(m)
     g = np.zeros(m)
     at = np.zeros(m, dtype=np.int64)
     a = np.zeros(m)
     for k in range(f):
         F = Phi[k]
         # P = F P F' + Q, block by block: transitions and Jacobians are mostly zeros, so both products go by rows of what is not
-        for j in range(m):
-            for i in range(n):
-                T[j, i] = 0.0
         for i in range(n):
+            row[:] = 0.0
             for q in range(n):
                 w = F[i, q]
                 if w != 0.0:
                     for j in range(m):
-                        T[j, i] += w * P[q, j]
+                        row[j] += w * P[q, j]
+            for j in range(m):
+                T[j, i] = row[j]
         for i in range(n):
             for j in range(i + 1):
                 P[i, j] = Q[k, i, j]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from concurrent.futures import Executor
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu.blas import on_one_thread
 from insemu.effects import EFFECTS
 from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
@@ -35,26 +37,20 @@ from insemu.gap.candidates.steps import placed
 from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.checks.drive import drive_map, innovation_tests
 from insemu.gap.checks.rest import corrected
-from insemu.gap.data.log import Reduced, unheard
-from insemu.gap.data.samples import coarse, mend, with_counts
 from insemu.gap.drive.apart import FIRST
-from insemu.gap.drive.preparation import Flown, Prepared, fast_parts, prepare
+from insemu.gap.drive.preparation import Flown, prepare
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import LEVEL_ROWS
 from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.evidence.surrogate import FixNoise
 from insemu.gap.holdout import DriveScore
 from insemu.gap.hypothesis import Found, best_first, probabilities
-from insemu.gap.policy import rules
+from insemu.gap.policy import Policy, rules, under
 from insemu.gap.problems.band import (
     WANDERING,
     again_with_processes,
-    fast_effects,
     vibrates,
-    white_level,
     with_delay,
-    without_delay,
-    without_its_vibration,
 )
 from insemu.gap.problems.between import with_unresolved
 from insemu.gap.problems.findings import (
@@ -65,10 +61,10 @@ from insemu.gap.problems.findings import (
     rejected,
     remainder,
     split_axis,
-    unknown_part,
     with_effect,
 )
 from insemu.gap.problems.known import which
+from insemu.gap.problems.mended import MendedDrive
 from insemu.gap.problems.named import Named, believing, blocks_of, held_out, told, with_confusable
 from insemu.gap.problems.settled import STEPS, SettledFixes
 from insemu.gap.problems.together import opened
@@ -76,6 +72,7 @@ from insemu.gap.search import Again, reconsider, search
 from insemu.gap.verdict import Finding, GapReport, Interval, Where, judged
 from insemu.gap.worth import Outage, outages_along, stated_in_outages, white_levels, with_white, worth_in_noise
 from insemu.records import AXES, Recording
+from insemu.work import meanwhile
 
 Array = NDArray[np.float64]
 #: Effects of time, beside which no filter of the positions is looked for: what a wrong time leaves in second order goes with the acceleration as
@@ -112,9 +109,7 @@ class DriveProblem(SettledFixes):
             self._others = []
         self.scene = scene
         self.data: Field = scene.field(self.cut)
-        self.rows: NDArray[np.bool_] = (
-            np.ones(scene.rows_t.size, dtype=bool) if self.cut is None else np.asarray(scene.rows_t <= self.cut)
-        )
+        self.rows = scene.upto(self.cut)
 
     def named(self) -> Named:
         """What was found so far."""
@@ -421,76 +416,16 @@ def find_effects(
 # -- the whole recording --------------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Drive:
-    """A recording mended, what its band above the motion shows, and the nominal filter on it.
-
-    Parameters
-    ----------
-    whole, believed : Recording, Nominal
-        As they were given.
-    recording, nominal : Recording, Nominal
-        Mended: gaps bridged, clipped stretches filled in, output counts believed, a low-pass's delay taken off.
-    noticed : tuple of Finding
-        What the samples showed by themselves and was not known.
-    parts : mapping of axis to Reduced
-        The band above the motion.
-    clipped : set of str
-        Axes at their full scale.
-    fast : list of (axis, AxisResult)
-    levels : mapping of axis to float
-        White noise that was named there.
-    late : mapping of sensor to delay taken off, s
-    prepared : Prepared
-    """
-
-    whole: Recording
-    believed: Nominal
-    recording: Recording
-    nominal: Nominal
-    noticed: tuple[Finding, ...]
-    parts: dict[str, Reduced]
-    clipped: set[str]
-    fast: list[tuple[str, AxisResult]]
-    levels: dict[str, float]
-    late: dict[str, float]
-    prepared: Prepared
-
-    @classmethod
-    def of(
-        cls,
-        recording: Recording,
-        believed: Nominal,
-        without: Collection[str],
-        flown: Flown | None,
-        say: Callable[[str], None],
-    ) -> _Drive:
-        """Mend a recording and look at its band above the motion."""
-        whole, mended = recording, mend(recording.imu, tuple(without), believed.filled)
-        # what is known of the samples is mended, but is no finding
-        noticed = tuple(s for s in (unknown_part(s, believed.effects) for s in mended.findings) if s is not None)
-        nominal = replace(believed, beliefs=with_counts(believed.beliefs, mended.findings, recording.imu.dt))
-        recording = replace(recording, imu=mended.imu)
-        flown = None if mended.findings else flown
-        parts = flown.fast if flown else fast_parts(replace(recording, imu=mended.heard), nominal)
-        clipped = {f"{s.sensor}_{a}" for s in mended.findings if s.effect == "saturation" for a in s.axes}
-        # rounded that coarsely, the error follows the motion and is no noise that a spectrum could tell anything from
-        rounded = coarse(believed.beliefs, mended.findings, recording.imu.dt)
-        parts = {name: unheard(data) if name in rounded else data for name, data in parts.items()}
-        fast = fast_effects(parts, nominal, rules().fast_nats, without, say, clipped=clipped)
-        fast, parts = without_its_vibration(fast, parts)
-        levels = {name: level for name, r in fast if (level := white_level(r)) is not None}
-        ready = flown.prepared if flown and not levels else None
-        prepared, recording, late = without_delay(recording, nominal, parts, levels, dict(fast), mended, ready)
-        return cls(whole, believed, recording, nominal, noticed, parts, clipped, fast, levels, late, prepared)
-
-    def held_out(self, scene: Scene, threshold: float, without: Collection[str]) -> DriveScore:
-        """Figures on the last part of the recording with effects named on the first."""
+@on_one_thread
+def _held_out(at: MendedDrive, scene: Scene, threshold: float, without: Collection[str], policy: Policy) -> DriveScore:
+    """Figures on the last part of the recording with effects named on the first."""
+    with under(policy):
         start, end = float(scene.motion.t[0]), float(scene.motion.t[-1])
         cut = start + rules().naming_share * (end - start)
         first = find_effects(scene, cut, threshold, without, lambda _: None)
-        changed = self.noticed or self.late
-        plain = Scene.of(prepare(self.whole, self.believed, self.parts, self.levels)) if changed else scene
+        plain = scene
+        if at.noticed or at.late:
+            plain = Scene.of(prepare(at.whole, at.believed, at.parts, at.levels))
         return held_out(plain, first, cut)
 
 
@@ -500,16 +435,23 @@ def find_dynamic_gap(
     *,
     rng: np.random.Generator,
     without: Collection[str] = (),
-    hold_out: bool = True,
     progress: Callable[[str], None] | None = None,
     flown: Flown | None = None,
-) -> GapReport:
+    pool: Executor | None = None,
+) -> tuple[GapReport, Callable[[], DriveScore]]:
     """Find what a drive or flight has that the nominal model lacks.
 
     Parameters
     ----------
-    recording, nominal, rng, without, hold_out, progress, flown
+    recording, nominal, rng, without, progress, flown, pool
         As :func:`insemu.gap.find_gap` says; the recording has fixes.
+
+    Returns
+    -------
+    report : GapReport
+        Without figures on held-out fixes.
+    held_out : callable
+        These figures, worked out by the pool from now on, or when they are asked for.
 
     Raises
     ------
@@ -523,19 +465,15 @@ def find_dynamic_gap(
         raise InputError(
             f"no noise model is believed for {', '.join(missing)}; a recording with fixes needs all six axes"
         )
-    at = _Drive.of(recording, nominal, without, flown, say)
+    at = MendedDrive.of(recording, nominal, without, flown, say)
     say("responding every effect through the filter")
     scene = opened(at.prepared)
     if scene.noise is not None:
         without = (*without, "gnss_correlated_noise")
     competing = [v for v in bank(scene) if v.effect not in without]
     threshold = max(rules().least_nats, null_threshold(competing, scene.data, rng, always=scene.always))
+    scored = meanwhile(pool, _held_out, at, scene, threshold, without, rules())
     named = find_effects(scene, None, threshold, without, say)
-    nothing = Interval(math.nan, math.nan, math.nan)
-    scored = DriveScore(nothing, nothing, nothing)
-    if hold_out:
-        say("scoring on held-out fixes")
-        scored = at.held_out(scene, threshold, without)
     # a generator of its own: the search of a later pass draws what it always drew
     drawn, repeated = rng.spawn(2)
     starts = {name: r.start for name, r in at.fast}
@@ -555,19 +493,20 @@ def find_dynamic_gap(
     refined = dict(nominal.beliefs)
     for s in findings:
         refined = with_effect(refined, s)
-    return GapReport(
-        judged(findings, left), tuple(findings), where, rest, scored.before, scored.after, scored.gain, dict(nominal.beliefs), refined, threshold,
+    unknown = Interval(math.nan, math.nan, math.nan)
+    report = GapReport(
+        judged(findings, left), tuple(findings), where, rest, unknown, unknown, unknown, dict(nominal.beliefs), refined, threshold,
         recording.source, remainder=left, band=tuple(d.shaking for d in at.parts.values() if d.shaking is not None),
         stated_60s=stated_in_outages(at.prepared.result), outliers=outliers, unresolved=tuple(named.scene.original.unresolved.tolist()),
-        burst=scored.burst,
     )  # fmt: skip
+    return report, scored
 
 
 def _doubted(
     each: Sequence[Finding],
     named: Named,
     fast: Sequence[tuple[str, AxisResult]],
-    at: _Drive,
+    at: MendedDrive,
     failed: Sequence[Where],
     outages: Sequence[Outage],
 ) -> tuple[list[Finding], str]:

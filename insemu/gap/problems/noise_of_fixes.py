@@ -216,8 +216,8 @@ class NoiseOfFixes(ABC):
             return False
         rest, blocks = np.setdiff1d(told, run), self.blocks()
         back = self.scene.rebuilt(whole=self.recorded, gone={**self.gone, "gnss_outliers": rest})
-        rows = np.ones(back.rows_t.size, dtype=bool) if self.cut is None else back.rows_t <= self.cut
-        step = next(iter(multipath_step(Unexplained(back, back.field(self.cut), rows, blocks))), None)
+        unexplained = Unexplained(back, back.field(self.cut), back.upto(self.cut), blocks)
+        step = next(iter(multipath_step(unexplained)), None)
         window = None if step is None else step.change.window
         if step is None or window is None or np.mean((run > window[1]) & (run <= window[2])) < 0.5:
             return False

@@ -7,7 +7,6 @@ from abc import abstractmethod
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from insemu.gap.candidates.fixes import apart_from_named, as_joint, at_level, rows_of
 from insemu.gap.candidates.jumps import bias_step, lever_arm_step
@@ -43,12 +42,12 @@ class SettledFixes(NoiseOfFixes):
     ----------
     data : Field
         The innovations that are looked at.
-    rows : (r,) array of bool
+    rows : slice
         Which rows of the recording's field these are.
     """
 
     data: Field
-    rows: NDArray[np.bool_]
+    rows: slice
 
     @abstractmethod
     def _beside(self, without: Found[Change] | None = None) -> list[Variant]:
