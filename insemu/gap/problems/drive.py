@@ -202,7 +202,7 @@ class DriveProblem(SettledFixes):
     def _apart(self, best: DriveHypothesis, beside: Found[Change] | None = None) -> DriveHypothesis:
         """The first of two or three simpler effects, where they explain more than the best single one does.
 
-        Of an effect of several axes those of one axis; of a slow process, which follows anything slow, those of known shape of its sensor.
+        Of an effect of several axes those of one axis; of a slow process, which follows anything slow, those of known shape.
         ``beside`` is the finding that it is, where it was found already.
         """
         if best.change.block is None or best.change.window is not None:
@@ -214,8 +214,9 @@ class DriveProblem(SettledFixes):
             if first is not None and total > best.nats + (1.0 if count >= len(best.axes) else -rules().keep_nats):
                 return self._apart(first, beside)
         if best.effect in PROCESSES:
-            first, total, _ = self._greedy([v for v in single if not v.process and v.sensor == best.sensor], beside)
-            if first is not None and total > best.nats + rules().lead:
+            first, total, count = self._greedy([v for v in single if not v.process], beside)
+            # each further effect must be worth what any effect must
+            if first is not None and total - (count - 1) * self.threshold > best.nats + rules().lead:
                 return first
         return best
 
