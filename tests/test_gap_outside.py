@@ -1,4 +1,4 @@
-"""Structure outside the catalogue against effects of it."""
+"""What stands for several effects at once: structure outside the catalogue, a slow process."""
 
 from __future__ import annotations
 
@@ -24,3 +24,11 @@ def test_what_is_outside_is_not_lost_behind_what_follows() -> None:
     measured, nominal = taken(*drawn(Job("outside", 840003, 360.0, True, False, False))[:2])
     report = find_gap(measured, nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False)
     assert report.verdict == "unexplained"
+
+
+def test_a_slow_process_gives_way_to_shapes_of_two_sensors() -> None:
+    """A scale factor of a gyroscope (80 nats) and a temperature coefficient of an accelerometer (75) were one random walk of 89."""
+    measured, nominal = taken(*drawn(Job("two", 850202, 360.0, True, False, False))[:2])
+    report = find_gap(measured, nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False)
+    assert {(f.effect, f.sensor) for f in report.findings} == {("scale_factor", "gyro"), ("temperature", "accel")}
+    assert report.verdict == "named"
