@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import pickle
 import platform
 import signal
 from collections import deque
@@ -128,9 +129,18 @@ def meanwhile(pool: Executor | None, work: Callable[P, R], *args: P.args, **kwar
     work : callable
         With a pool of processes, a function of a module.
     *args, **kwargs
-        Its arguments.
+        Its arguments; with a pool, as they are now.
     """
-    return partial(work, *args, **kwargs) if pool is None else pool.submit(work, *args, **kwargs).result
+    if pool is None:
+        return partial(work, *args, **kwargs)
+    # a pool packs them up while its caller goes on, and may change them
+    return pool.submit(_unpacked, pickle.dumps((work, args, kwargs))).result
+
+
+def _unpacked(call: bytes) -> Any:
+    """What a call of :func:`meanwhile` returns, in the process that it was handed to."""
+    work, args, kwargs = pickle.loads(call)
+    return work(*args, **kwargs)
 
 
 @contextmanager

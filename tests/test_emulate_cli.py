@@ -205,7 +205,8 @@ def test_dead_reckoning_honours_the_kind_and_other_reference_rates(tmp_path, kin
 
 
 def test_dead_reckoning_of_another_programs_file(tmp_path, capsys):
-    data = np.load(shared("fixtures/inertial/car_100hz.npz"))
+    with np.load(shared("fixtures/inertial/car_100hz.npz")) as file:
+        data = dict(file)
     file = tmp_path / "car.npz"
     np.savez(
         file,

@@ -15,8 +15,10 @@ DEGREES = np.array([np.pi / 180, np.pi / 180, 1.0])
 
 @pytest.fixture(scope="module")
 def replay():
-    peer = np.load(shared("fixtures/inertial/pyins_car_pos_outage.npz"))
-    car = np.load(shared("fixtures/inertial/car_100hz.npz"))
+    with np.load(shared("fixtures/inertial/pyins_car_pos_outage.npz")) as file:
+        peer = dict(file)
+    with np.load(shared("fixtures/inertial/car_100hz.npz")) as file:
+        car = dict(file)
     p = dict(zip(peer["params_names"], peer["params"], strict=True))
     noise = peer["imu_noise_counts"] * peer["imu_noise_scale"]
     imu = ImuRecord(car["time"], car["gyro_incr"] + noise[:, :3], car["accel_incr"] + noise[:, 3:], kind="increment")

@@ -11,7 +11,8 @@ ZERO = np.zeros(3)
 
 
 def fixture(name):
-    data = np.load(shared(f"fixtures/inertial/{name}_100hz.npz"))
+    with np.load(shared(f"fixtures/inertial/{name}_100hz.npz")) as file:
+        data = dict(file)
     llh = data["lla"].copy()
     llh[:, :2] = np.deg2rad(llh[:, :2])
     reference = Trajectory(data["time"], llh, data["vel_ned"], np.deg2rad(data["rph"]))

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from insemu.errors import InputError
-from insemu.work import Files, Lines, processes, run_items
+from insemu.work import Files, Lines, meanwhile, processes, run_items
 
 
 def lines(path):
@@ -38,6 +39,19 @@ def test_results_come_in_the_order_of_the_items_and_are_done_once(tmp_path, pool
     again: list[int] = []
     assert run_items(items, never, store=lines(tmp_path / "log"), done=again.append) == out
     assert again == [9, 1, 4]
+
+
+@pytest.mark.parametrize("pool", ["none", "processes"])
+def test_work_meanwhile_takes_its_arguments_as_they_are(pool: str) -> None:
+    """A pool packed up what its caller had changed in the meantime, or failed at it."""
+    numbers = {"a": 1, "b": 2}
+    with processes(1 if pool == "none" else 2) as executor:
+        busy = [executor.submit(time.sleep, 0.2) for _ in range(6)] if executor is not None else []
+        later = meanwhile(executor, len, numbers)
+        if executor is not None:
+            numbers["c"] = 3
+        assert later() == 2
+    assert all(b.done() for b in busy)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signal 9 is of POSIX")
