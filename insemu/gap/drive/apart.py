@@ -55,7 +55,8 @@ FIRST = {"gnss_outliers": 0, "gnss_velocity_outliers": 3}
 #: Standard deviation of a fix that is hardly followed, over that of an outlier: the mean of a hundred such fixes is still as uncertain as a hundred
 #: times an outlier, and taking its square off a variance again rounds at 1e-10 of the variance of one.
 LOOSE = 1e3
-#: Most that the variance of a fix is raised by, over its own, where a filter runs on it and where it is smoothed: beyond that its digits are lost.
+#: Most that the variance of a fix is raised by, over its own, where a filter runs on it and where it is smoothed: beyond that the other fixes lose
+#: their digits (outliers of 10 and 1,000 km: tests/test_gap_fixes.py).
 MOST_LOOSE, MOST_WIDE = 1e12, 1e8
 #: Fixes around one that is told anew in which no other is: it says something of these. With 1 to 10 the outliers of ublox_mixed_nominal and
 #: rtkexp_drive are the same, and those of thor75_uav_flight but for two; with none they went in turns.

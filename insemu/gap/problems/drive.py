@@ -215,7 +215,7 @@ class DriveProblem(SettledFixes):
                 return self._apart(first, beside)
         if best.effect in PROCESSES:
             first, total, count = self._greedy([v for v in single if not v.process], beside)
-            # each further effect must be worth what any effect must
+            # each further one must be worth what any effect must
             if first is not None and total - (count - 1) * self.threshold > best.nats + rules().lead:
                 return first
         return best
