@@ -73,6 +73,22 @@ def test_allan_variance_is_half_the_variance_of_differences(process: Process) ->
         assert 0.5 * first == pytest.approx(float(process.allan_variance(m, DT)), rel=1e-9)
 
 
+@pytest.mark.parametrize("process", ROWS.values(), ids=ROWS)
+def test_short_covariances_are_the_beginning_of_long_ones(process: Process) -> None:
+    for m in (1, 7):
+        whole = process.difference_covariance(m, DT, 12)
+        for count in (0, 1, 2, 3):
+            near(process.difference_covariance(m, DT, count), whole[:count], 1e-12)
+            if process.own_block:
+                near(
+                    process.block(DT).difference_covariance(m, count),
+                    process.block(DT).difference_covariance(m, 12)[:count],
+                    1e-12,
+                )
+    for formula in (process.allan_variance, process.psd):
+        assert formula(np.zeros(0), DT).shape == (0,)
+
+
 def test_differences_of_a_sum_are_sums() -> None:
     model = WN(1e-3) + GM(1e-3, 0.3) + AR1(0.9, 1e-7, RATE) + BI(1e-4)
     total = sum(p.difference_covariance(20, DT, 6) for p in model)

@@ -33,10 +33,19 @@ class Later(Generic[C]):
     def __init__(self, make: Callable[[], C]) -> None:
         self._make = make
 
+    def __reduce__(self) -> tuple[Callable[[C], Later[C]], tuple[C]]:
+        # a function that is local to another cannot be sent to a process; what it makes can
+        return _made, (self.value,)
+
     @cached_property
     def value(self) -> C:
         """What was made, once."""
         return self._make()
+
+
+def _made(value: C) -> Later[C]:
+    later: Later[C] = Later(lambda: value)
+    return later
 
 
 @dataclass(frozen=True)

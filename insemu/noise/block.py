@@ -147,7 +147,7 @@ class StateBlock:
         u, v = np.append(s, -1.0), np.append(np.zeros(n), 1.0)
         out = np.zeros(count)
         white = self.white * m
-        out[0] = g @ self.P0 @ g + u @ V @ u + v @ V @ v + 2.0 * white
+        out[:1] = g @ self.P0 @ g + u @ V @ u + v @ V @ v + 2.0 * white
         if count > 1:
             ahead = step @ self.P0 @ g + V[:n] @ u
             out[1] = g @ ahead + v @ V @ u - white

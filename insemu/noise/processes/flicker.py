@@ -34,6 +34,8 @@ def unit_difference_covariance(count: int) -> Array:
     The fourth difference of t^2 ln|t| / (2 pi), because averages of flicker are second differences of a process whose generalized
     covariance is -t^2 ln|t| / (4 pi).
     """
+    if count == 0:
+        return np.zeros(0)
     lag = np.arange(-2, count + 2, dtype=np.float64)
     magnitude = np.abs(lag)
     g = magnitude**2 * np.log(np.where(magnitude > 0, magnitude, 1.0))
