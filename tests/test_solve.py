@@ -16,16 +16,19 @@ from insemu import earth, intake, noise, rotation
 from insemu.cli import main
 from insemu.errors import InputError
 from insemu.evaluate.emulated import EmulatedWorld
+from insemu.filters import smooth
 from insemu.formats import read_recording
 from insemu.formats import write as write_recording
 from insemu.records import GnssRecord, ImuRecord, Recording
+from insemu.report import solve_answer
 from insemu.scenario import load
 from insemu.solve import Solution, candidates, cut_everywhere, prepared, solve, summary, write
 from insemu.solve.against import compare_with
 from insemu.solve.beliefs import adapted, clock_offset
 from insemu.solve.drive import velocity_lag
-from insemu.solve.outages import Outages
-from insemu.solve.solution import flown
+from insemu.solve.outages import Outages, gaps_of
+from insemu.solve.outliers_of_fixes import outlying
+from insemu.solve.solution import Scored, flown
 from tests.shared_data import shared
 
 LATE, ARM = 0.12, np.array([0.6, -0.3, -1.1])
@@ -157,6 +160,110 @@ def test_designs_of_a_scenario_fly_with_what_they_compensate(
     found = compare_with(solution, path)
     late, better = (found.designs[d].rms(0) for d in ("late", "on time"))
     assert better < 0.7 * late
+
+
+def test_metres_are_those_of_the_filter_not_of_the_fixes() -> None:
+    """Errors of 2 m an axis, seen through fixes that scatter by 3 m: rms, median and 95 % are Rayleigh's of 2 m."""
+    rng, n = np.random.default_rng(5), 40000
+    e = 2.0 * rng.standard_normal((n, 1, 2)) + 3.0 * rng.standard_normal((n, 1, 2))
+    o = Outages(
+        np.arange(n, dtype=float), np.array([10.0]), e, np.tile(4.0 * np.eye(2), (n, 1, 1, 1)), np.full((n, 1, 2), 9.0)
+    )
+    assert o.rms(0) == pytest.approx(2.0 * np.sqrt(2.0), rel=0.03)
+    assert o.quantiles(0) == pytest.approx(
+        [2.0 * np.sqrt(2.0 * np.log(2.0)), 2.0 * np.sqrt(2.0 * np.log(20.0))], rel=0.03
+    )
+    assert o.nees(0) == pytest.approx(1.0, rel=0.03)
+
+
+def test_a_tunnel_is_a_gap_of_its_own_and_no_outage_begins_in_it(solution: Solution) -> None:
+    drive, c = solution.drive, solution.taken.candidate
+    inside = (drive.gnss.t > 150.2) & (drive.gnss.t < 190.1)
+    tunnel = replace(drive, gnss=drive.gnss.rows(~inside))
+    run = flown(c.filter(tunnel, store="fixes", node_every=1.0), tunnel, c)
+    o = cut_everywhere(c.filter(tunnel), run, drive.flown(c.filter(drive))[0], tunnel.reference(), workers=2)
+    last = float(tunnel.gnss.t[tunnel.gnss.t < 160.0][-1])
+    step = float(np.median(np.diff(drive.gnss.t)))
+    assert o.start.size > 100 and not ((o.start > last + 1.5 * step + 1e-6) & (o.start < 190.0)).any()
+    # those that are cut beside it cost what they cost without it
+    usual = solution.taken.outages
+    both = np.intersect1d(np.round(o.start), np.round(usual.start[usual.start < 140.0]))
+    assert both.size > 30
+    for which in (o, usual):
+        assert which.rows(np.isin(np.round(which.start), both)).rms(0) == pytest.approx(
+            usual.rows(np.isin(np.round(usual.start), both)).rms(0), rel=0.05
+        )
+    (gap,) = gaps_of(run)
+    assert gap.start == pytest.approx(last) and gap.seconds == pytest.approx(40.0, abs=1.1)
+    assert 0.05 * gap.stated < gap.error < 4.0 * gap.stated
+    assert gaps_of(solution.taken.run) == []
+
+
+def test_fixes_that_all_others_contradict_are_told(solution: Solution) -> None:
+    drive, c, rng = solution.drive, solution.taken.candidate, np.random.default_rng(8)
+    clean = outlying(flown(c.filter(drive, store="fixes"), drive, c))
+    assert clean.positions.size <= 1 and clean.velocities.size <= 1
+    hit = np.sort(rng.choice(np.arange(60, len(drive.gnss)), len(drive.gnss) // 20, replace=False))
+    llh = drive.gnss.llh.copy()
+    llh[hit] = earth.move(llh[hit], rng.choice([-1.0, 1.0], (hit.size, 3)) * [3.0, 2.0, 0.0])
+    wrong = replace(drive, gnss=replace(drive.gnss, llh=llh))
+    found = outlying(flown(c.filter(wrong, store="fixes"), wrong, c))
+    assert set(drive.gnss.t[hit]) <= set(found.positions)
+    assert found.positions.size <= hit.size + 3
+    assert found.largest == pytest.approx(np.hypot(3.0, 2.0), rel=0.3)
+
+
+def test_fixes_that_state_too_much_are_judged_by_their_scatter(solution: Solution) -> None:
+    drive, c = solution.drive, solution.taken.candidate
+    g = drive.gnss
+    assert g.pos_std_ned is not None and g.vel_std_ned is not None
+    large = replace(drive, gnss=replace(g, pos_std_ned=20.0 * g.pos_std_ned, vel_std_ned=20.0 * g.vel_std_ned))
+    one = replace(c, position=1.0, velocity=1.0)
+    assert adapted(one, large).position == pytest.approx(1.0)
+    found = adapted(one, large, overstated=True)
+    assert (found.position, found.velocity) == pytest.approx((0.1, 0.1), rel=0.15)
+    judged = replace(large, scatter=(found.position, found.velocity)).reference().pos_std_ned
+    assert judged == pytest.approx(0.1, rel=0.15)
+
+
+def test_biases_are_told_in_whole(recording: Recording, solution: Solution) -> None:
+    """A constant that is added to the gyroscopes comes back, whatever the start took off."""
+    c, added = solution.taken.candidate, np.deg2rad([0.3, -0.2, 0.4])
+    imu = recording.imu
+    late = replace(imu, t=imu.t - LATE, gyro=imu.gyro + added * imu.dt)
+    drive = prepared(replace(recording, imu=late)).started()
+    run = flown(c.filter(drive, store="fixes", node_every=1.0), drive, c)
+    biased = replace(solution, drive=drive, smoothed=smooth(run), taken=Scored(c, run, solution.taken.outages))
+    for k, axis in enumerate(("gyro_x", "gyro_y", "gyro_z")):
+        value, sigma, _ = biased.biases[axis]
+        assert value - solution.biases[axis][0] == pytest.approx(added[k], abs=4.0 * sigma)
+        assert sigma < 0.1 * abs(added[k])
+    assert any(abs(off) > 0.1 * abs(a) for (_, _, off), a in zip(biased.biases.values(), added, strict=False))
+
+
+def test_a_dead_axis_is_the_suspect_and_a_right_recording_has_none(solution: Solution) -> None:
+    assert solution.suspects == {}
+    gyro = solution.drive.imu.gyro.copy()
+    gyro[:, 2] = 0.0
+    dead = replace(solution, drive=replace(solution.drive, imu=replace(solution.drive.imu, gyro=gyro)))
+    assert dead.suspects == {"gyro_z": np.inf}
+    assert solve_answer(dead).startswith(
+        "Look at the recording first: gyro z errs by noise that its samples do not show."
+    )
+
+
+def test_the_verdict_is_that_of_all_outages_and_of_the_innovations(solution: Solution) -> None:
+    taken, o = solution.taken, solution.taken.outages
+    assert taken.factor == 1.0 and "and it knows its error." in solve_answer(solution)
+    sure = replace(taken, outages=replace(o, covariance=o.covariance / 400.0, fix_variance=o.fix_variance / 400.0))
+    assert sure.factor == pytest.approx(20.0 * np.sqrt(max(o.nees(k) for k in range(3))))
+    assert "it is optimistic by a factor of" in solve_answer(replace(solution, taken=sure))
+    fixes = replace(taken.run.fixes, nis=taken.run.fixes.nis / 100.0)
+    shy = replace(taken, run=replace(taken.run, fixes=fixes))
+    assert (
+        shy.factor == pytest.approx(0.1 * np.sqrt(taken.nis))
+        and summary(replace(solution, taken=shy))["knows_its_error"] is False
+    )
 
 
 def test_late_velocities_are_recognised(recording: Recording) -> None:

@@ -19,6 +19,7 @@ from insemu.filters.events import SAME_TIME
 from insemu.filters.gpu import GPU_THREADS, Gpu
 from insemu.filters.joint import JointSystem, error_maps, ideal_fixes
 from insemu.filters.likeliest import Innovations, Likeliest, likeliest, uncertainty
+from insemu.filters.measurements import FIX
 from insemu.filters.motion import align_in_motion
 from insemu.filters.options import FilterOptions, InitialSigma
 from insemu.filters.protocol import (
@@ -38,6 +39,7 @@ from insemu.filters.twin import LinearErrors, driven, step_matrices
 
 __all__ = [
     "AIDS",
+    "FIX",
     "GPU_THREADS",
     "SAME_TIME",
     "SETTINGS",

@@ -20,21 +20,30 @@ MOST_EPOCHS = 1500
 
 
 def solve_answer(s: Solution) -> str:
-    """The one sentence: which design, how far off, whether it knows."""
+    """What an engineer reads first: what is suspect, which design, how far off, whether it knows."""
     o = s.taken.outages
-    parts = [f"{short(o.rms(k))} m after {o.horizons[k]:g} s" for k in range(o.horizons.size) if np.isfinite(o.rms(k))]
-    return f"Take {s.taken.candidate.name}: {', '.join(parts)} without GNSS (rms), and {_knows(s.taken)}."
+    parts = [f"{_metres(o, k)} after {o.horizons[k]:g} s" for k in range(o.horizons.size) if np.isfinite(o.rms(k))]
+    suspect = [
+        f"{a.replace('_', ' ')} errs by {f'{short(v)} times what its samples scatter' if np.isfinite(v) else 'noise that its samples do not show'}"
+        for a, v in s.suspects.items()
+    ]
+    first = f"Look at the recording first: {'; '.join(suspect)}. " if suspect else ""
+    return f"{first}Take {s.taken.candidate.name}: {', '.join(parts)} without GNSS (rms), and {_knows(s.taken)}."
+
+
+def _metres(o: Outages, k: int) -> str:
+    """The rms after an outage, or what it is below where the fixes' own scatter hides it."""
+    low, high = o.interval(k)
+    return f"below {short(high)} m" if low == 0.0 and high > 0.0 else f"{short(o.rms(k))} m"
 
 
 def _knows(s: Scored) -> str:
-    known = [k for k in range(s.outages.horizons.size) if np.isfinite(s.outages.rms(k))]
-    if not known:
+    if np.isnan(s.factor):
         return "the recording is too short for an outage"
-    k = known[-1]
-    values = s.outages.nees(k)
-    if KNOWS[0] <= values <= KNOWS[1]:
+    if s.factor == 1.0:
         return "it knows its error"
-    return f"it states {short(s.outages.stated(k))} m there, which is {'too little' if values > 1 else 'too much'}"
+    more = s.factor if s.factor > 1.0 else 1.0 / s.factor
+    return f"it is {'optimistic' if s.factor > 1.0 else 'pessimistic'} by a factor of {short(more)}"
 
 
 def solve_rows(tried: Sequence[Scored]) -> tuple[list[str], list[list[str]]]:
@@ -93,7 +102,8 @@ def compared_rows(found: Comparison) -> tuple[list[str], list[list[str]]]:
 def calibration_lines(s: Solution) -> list[str]:
     """What was found of clock, lever arm, mounting and the fixes' noise, in words."""
     late, sigma = s.clock
-    out = [f"clock: the stamps of the IMU are {late:+.4f} s late against the fixes (sigma {sigma:.4f} s)"]
+    out = [_biases("gyroscope", s), _biases("accelerometer", s)]
+    out += [f"clock: the stamps of the IMU are {late:+.4f} s late against the fixes (sigma {sigma:.4f} s)"]
     states = {n: (v, sd, b) for n, v, sd, b in s.estimated}
     arm = [states.get(f"lever_arm_{a}") for a in "xyz"]
     if all(a is not None for a in arm):
@@ -113,12 +123,33 @@ def calibration_lines(s: Solution) -> list[str]:
             "mounting: the velocity keeps no direction in the IMU's axes (flight with wind, a boat) or is too slow; not estimated"
         )
     c = s.taken.candidate
+    position, velocity = s.drive.scatter
     out.append(
-        f"noise of the fixes: {short(c.position)} times the {'stated' if s.drive.stated else 'assumed'} standard deviations of the positions"
+        f"the fixes scatter by {short(position)} times the {'stated' if s.drive.stated else 'assumed'} standard deviations of the positions"
+        + (f", {short(velocity)} times those of the velocities" if s.drive.gnss.vel_std_ned is not None else "")
+    )
+    out.append(
+        f"believed noise of the fixes: {short(c.position)} times the {'stated' if s.drive.stated else 'assumed'} standard deviations of the positions"
     )
     if s.drive.gnss.vel_std_ned is not None:
         out[-1] += f", {short(c.velocity)} times those of the velocities"
     return out
+
+
+def _biases(sensor: str, s: Solution) -> str:
+    """Biases of the three axes at the end, whole, and what of them was taken off before the filter began."""
+    own = [v for a, v in s.biases.items() if a.startswith(sensor[:4])]
+    factor, unit = datasheet(1.0, "rad/s" if sensor == "gyroscope" else "m/s^2")
+    text = ", ".join(f"{factor * b:.4g} (sigma {factor * sd:.2g})" for b, sd, _ in own)
+    before = [factor * off for *_, off in own]
+    taken = f", of which the start told {', '.join(f'{v:.4g}' for v in before)}" if any(before) else ""
+    return f"{sensor} biases at the end, x, y, z: {text} {unit}{taken}"
+
+
+def gap_rows_of(s: Solution) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of the gaps of the recording itself."""
+    rows = [[f"{g.start / 60.0:.2f}", short(g.seconds), short(g.error), short(g.stated)] for g in s.gaps]
+    return ["start min", "s without fixes", "off at the first fix m", "stated m"], rows
 
 
 def consistency_words_of(s: Solution) -> list[str]:
@@ -249,14 +280,19 @@ def render_solution(s: Solution, folder: Path, compared: Comparison | None = Non
     """
     o = s.taken.outages
     where = (
-        "Errors are against the fixes that each outage withheld, at the antenna; their own variance is subtracted from the rms. Where the fixes come "
+        "Errors are against the fixes that each outage withheld, at the antenna; their own scatter is taken off all columns. Where the fixes come "
         "from a receiver that fuses an IMU itself, they are a dependent reference. Outages overlap: the interval is by a moving-block bootstrap. "
         "The design was chosen on the same recording, by the logarithmic score of outages five seconds apart."
     )
     sections = [
         Section(
             "Without GNSS",
-            [Table(*outage_rows_of(o), "An outage begins at every second."), Text(where), charts_over_time(s)[0]],
+            [
+                Table(*outage_rows_of(o), "An outage begins at every second at which a fix was used."),
+                *([Table(*gap_rows_of(s), "Times without fixes in the recording itself.")] if s.gaps else []),
+                Text(where),
+                charts_over_time(s)[0],
+            ],
         ),
         Section("Map", [_map(s)]),
         Section(
@@ -293,12 +329,12 @@ def render_solution(s: Solution, folder: Path, compared: Comparison | None = Non
     cards = [
         Card(
             f"{h:g} s without GNSS",
-            f"{short(o.rms(k))} m",
+            _metres(o, k),
             "knows its error"
             if KNOWS[0] <= o.nees(k) <= KNOWS[1]
-            else "surer than it should be"
+            else "optimistic"
             if o.nees(k) > 1
-            else "less sure than it could be",
+            else "pessimistic",
             "good" if KNOWS[0] <= o.nees(k) <= KNOWS[1] else "warn",
             [f"stated {short(o.stated(k))} m; half of the outages below {short(o.quantiles(k)[0])} m"],
         )

@@ -7,7 +7,7 @@ from insemu.solve.against import Comparison, compare_with
 from insemu.solve.beliefs import CALIBRATION, GRADES, Candidate, candidates
 from insemu.solve.drive import Drive, prepared
 from insemu.solve.files import summary, way_of_solution, worst_outages, write
-from insemu.solve.outages import HORIZONS, Outages, cut_everywhere
+from insemu.solve.outages import HORIZONS, Gap, Outages, cut_everywhere
 from insemu.solve.solution import KNOWS, Mounting, Scored, Solution, solve
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "Candidate",
     "Comparison",
     "Drive",
+    "Gap",
     "Mounting",
     "Outages",
     "Scored",

@@ -192,11 +192,14 @@ def clock_offset(candidate: Candidate, drive: Drive) -> tuple[float, float]:
     return late, float(1.0 / np.sqrt(bend)) if bend > 0 else np.inf
 
 
-def adapted(base: Candidate, drive: Drive, *, by_axis: bool = False, away: float = 0.0) -> Candidate:
+def adapted(
+    base: Candidate, drive: Drive, *, by_axis: bool = False, away: float = 0.0, overstated: bool = False
+) -> Candidate:
     """White noise and walk of gyroscopes and accelerometers and the noise of the fixes as the innovations ask for.
 
     Factors on a belief, and two on the stated standard deviations of the fixes, by maximum likelihood of the innovations. The latter are
-    at least 1: innovations do not show errors that last, which a receiver that smooths its fixes states.
+    at least 1 unless the fixes may be ``overstated``: innovations do not show errors that last, which a receiver that smooths its fixes
+    states.
 
     Parameters
     ----------
@@ -208,6 +211,8 @@ def adapted(base: Candidate, drive: Drive, *, by_axis: bool = False, away: float
         One factor on the white noise of each axis, for a vehicle shakes some more than others; else one for each kind of sensor.
     away : float
         The search begins at walks larger and white noises smaller by this (logarithm).
+    overstated : bool
+        Whether the fixes may scatter by less than they state.
     """
     run = innovations_of(drive)
     with_velocity = drive.gnss.vel_std_ned is not None
@@ -221,11 +226,12 @@ def adapted(base: Candidate, drive: Drive, *, by_axis: bool = False, away: float
             for a, m in base.belief.items()
         }
         position, velocity = base.position * f["position"], base.velocity * f.get("velocity", 1.0)
-        name = "adapted by axis" if by_axis else "adapted"
+        name = "adapted by axis" if by_axis else "adapted to the scatter of the fixes" if overstated else "adapted"
         return replace(base, name=name, belief=belief, position=position, velocity=velocity)
 
     # what was adapted before has its factors on the fixes already
-    least = np.array([-np.inf] * len(words) + [-np.log(base.position), -np.log(base.velocity)][: 1 + with_velocity])
+    floors = [-np.inf] * 2 if overstated else [-np.log(base.position), -np.log(base.velocity)]
+    least = np.array([-np.inf] * len(words) + floors[: 1 + with_velocity])
     start = np.zeros(least.size)
     start[: len(words)] = [away if w.endswith("walk") else -away for w in words]
     found = likeliest(lambda x: run(at(x)), start, PRIOR, least).x

@@ -46,6 +46,10 @@ class Drive:
         Whether the standard deviations of the positions are the receiver's own.
     clock : float
         Seconds that were taken off the stamps of the IMU.
+    scatter : (float, float)
+        Scatter of positions and velocities over their standard deviations, as the innovations show it; outages are held against fixes of it.
+    settled : float, optional
+        When outages may begin, s.
     aids, known
         Further measurements; an initial state of the file.
     start : Alignment, optional
@@ -59,6 +63,8 @@ class Drive:
     said: tuple[str, ...] = ()
     stated: bool = True
     clock: float = 0.0
+    scatter: tuple[float, float] = (1.0, 1.0)
+    settled: float | None = None
     aids: tuple[AidRecord, ...] = ()
     known: InitialState | None = None
     start: Alignment | None = None
@@ -92,6 +98,15 @@ class Drive:
         imu = replace(self.imu, t=self.imu.t - late)
         inside = (self.gnss.t > imu.t[0]) & (self.gnss.t <= imu.t[-1])
         return replace(self, imu=imu, gnss=self.gnss.rows(inside), clock=self.clock + late, known=known, start=None)
+
+    def reference(self) -> GnssRecord:
+        """The fixes that outages are held against, with the standard deviations of their scatter."""
+        g, (position, velocity) = self.gnss, self.scatter
+        return replace(
+            g,
+            pos_std_ned=None if g.pos_std_ned is None else position * g.pos_std_ned,
+            vel_std_ned=None if g.vel_std_ned is None else velocity * g.vel_std_ned,
+        )
 
     def flown(self, ekf: LooselyCoupledEKF) -> tuple[ImuRecord, GnssRecord]:
         """IMU from the start on, less the bias that a filter does not know better, and the fixes after the start."""

@@ -16,7 +16,7 @@ from insemu.records import Recording
 from insemu.shown import finite
 from insemu.solve.against import Comparison
 from insemu.solve.outages import Outages
-from insemu.solve.solution import KNOWS, Solution
+from insemu.solve.solution import Solution
 from insemu.whole import replacing
 
 #: The file that holds filter, smoother and outages.
@@ -35,12 +35,20 @@ def summary(solution: Solution, compared: Comparison | None = None) -> dict[str,
         "source": d.source,
         "intake": solution.card.to_json(),
         "said": list(d.said),
-        "reference": "the fixes after each outage, at the antenna; their believed variance is subtracted from the rms",
+        "reference": "the fixes after each outage, at the antenna; their own scatter is taken off the metres",
         "start_s": d.aligned.t,
         "end_s": float(d.imu.t[-1]),
         "taken": solution.taken.figures(),
         "tried": [s.figures() for s in solution.tried],
-        "knows_its_error": KNOWS[0] <= solution.taken.nis <= KNOWS[1],
+        "knows_its_error": solution.taken.factor == 1.0,
+        "error_over_stated": solution.taken.factor,
+        "suspects": solution.suspects,
+        "gaps": [asdict(g) for g in solution.gaps],
+        "scatter_over_sigma": list(d.scatter),
+        "biases": {
+            a: {"value": value, "sigma": sigma, "taken_off_before": off}
+            for a, (value, sigma, off) in solution.biases.items()
+        },
         "consistency": [{**asdict(v), "passed": v.passed} for v in solution.verdicts],
         "imu_late_s": late,
         "imu_late_sigma_s": late_sigma,

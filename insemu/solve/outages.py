@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from insemu import earth, rotation
 from insemu.errors import InputError
-from insemu.filters import FilterResult, LooselyCoupledEKF
+from insemu.filters import FIX, FilterResult, LooselyCoupledEKF
 from insemu.records import GnssRecord, ImuRecord
 from insemu.strapdown import NavState
 
@@ -25,8 +25,12 @@ Array = NDArray[np.float64]
 HORIZONS = (10.0, 30.0, 60.0)
 #: The covariance of an outage is propagated every so many seconds; a fix within this time of the horizon is its reference.
 STEP_S, NEAR_S = 0.1, 0.6
-#: Outages begin no earlier after the start of the filter, s: its states settle.
-SETTLED_S = 30.0
+#: Outages begin no earlier after the start of the filter, s, and not before its attitude is known to so many times what it is later on.
+SETTLED_S, SETTLED_FACTOR = 30.0, 2.0
+#: An outage begins where the last fix is no older than so many usual steps of the fixes; a longer step is a gap of the recording itself.
+USUAL_STEPS = 1.5
+#: Gaps of the recording are listed from this length on, s, where they are also five usual steps long.
+GAP_S, GAP_STEPS = 2.0, 5.0
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class Outages:
     covariance : (k, h, 2, 2) array
         What the filter states of its own error.
     fix_variance : (k, h, 2) array
-        Of the fixes, as believed.
+        Of the fixes' own scatter.
     """
 
     start: Array
@@ -69,10 +73,13 @@ class Outages:
         return float(np.sqrt(np.einsum("kii->k", self.covariance[known, at]).mean())) if known.any() else np.nan
 
     def quantiles(self, at: int, shares: Sequence[float] = (0.5, 0.95)) -> list[float]:
-        """Quantiles of the horizontal error, m."""
+        """Quantiles of the horizontal error, m, less the fixes' own scatter in the proportion in which the root mean square is."""
         size = np.hypot(self.error[:, at, 0], self.error[:, at, 1])
         known = size[np.isfinite(size)]
-        return [float(v) for v in np.quantile(known, shares)] if known.size else [np.nan] * len(shares)
+        if not known.size:
+            return [np.nan] * len(shares)
+        less = self.rms(at) / max(float(np.sqrt(np.mean(known**2))), 1e-300)
+        return [less * float(v) for v in np.quantile(known, shares)]
 
     def _squares(self, at: int) -> tuple[Array, Array]:
         """Normalised squared errors and log determinants of their covariance, to which the fixes' variance is added."""
@@ -181,11 +188,12 @@ def cut_everywhere(
     imu: ImuRecord,
     gnss: GnssRecord,
     *,
+    settled: float | None = None,
     every: float = 1.0,
     horizons: Sequence[float] = HORIZONS,
     workers: int = 1,
 ) -> Outages:
-    """Cut an outage at every ``every`` seconds of a run.
+    """Cut an outage at every ``every`` seconds of a run at which a fix was used; its length counts from that fix.
 
     Parameters
     ----------
@@ -196,7 +204,9 @@ def cut_everywhere(
     imu : ImuRecord
         What the run was made from, as increments.
     gnss : GnssRecord
-        The fixes, with the standard deviations that are believed.
+        The fixes that outages are held against, with the standard deviations of their own scatter.
+    settled : float, optional
+        When the first outage may begin, s; :data:`SETTLED_S` after the start where it is left out.
     every : float
         Seconds from one outage to the next.
     horizons : sequence of float
@@ -212,10 +222,14 @@ def cut_everywhere(
     nodes = run.nodes
     if nodes is None or gnss.pos_std_ned is None:
         raise InputError("the run kept no nodes, or the fixes have no standard deviations")
-    begins = np.arange(nodes.t[0] + SETTLED_S, nodes.t[-1] - horizons[0], every)
+    first = nodes.t[0] + SETTLED_S if settled is None else settled
+    begins = np.arange(first, nodes.t[-1] - horizons[0], every)
     rows = np.unique(np.searchsorted(nodes.t, begins - 1e-6).clip(0, len(nodes) - 1))
+    since = last_used(run, nodes.t)
+    rows = rows[nodes.t[rows] - since[rows] <= USUAL_STEPS * usual_step(run)]
     if not rows.size:
         raise InputError(f"the run is shorter than {SETTLED_S + horizons[0]:g} s, expected room for an outage")
+    there = np.flatnonzero(np.isfinite(gnss.llh).all(axis=1))
     step = max(1, round(STEP_S / imu.dt))
     free = ekf.with_options(
         covariance_every=step,
@@ -239,13 +253,13 @@ def cut_everywhere(
         )
         at, nav, P, x = int(nodes.epoch[k]), nodes.nav[k], nodes.P_after[k], nodes.states[k]
         for h, horizon in enumerate(horizons):
-            j = int(np.argmin(np.abs(gnss.t - nodes.t[k] - horizon)))
-            if abs(gnss.t[j] - nodes.t[k] - horizon) > NEAR_S:
-                break
+            j = int(there[np.argmin(np.abs(gnss.t[there] - since[k] - horizon))])
+            if abs(gnss.t[j] - since[k] - horizon) > NEAR_S:
+                continue
             valid = float(gnss.t[j] - latency[k])
             last = int(np.searchsorted(imu.t, valid - 1e-9))
             if last >= len(imu) or last <= at + 1:
-                break
+                continue
             state = NavState(nav[:3], nav[3:6], rotation.rpy_from_quaternion(nav[6:10]))
             part = free.run(imu.rows(slice(at, last + 1)), None, state, P, initial_states=x)
             at, nav, P, x = last, part.nav[-1], part.final_covariance, part.imu_states[-1]
@@ -261,3 +275,77 @@ def cut_everywhere(
         found = list(pool.map(one, rows))
     error, stated, own = (np.stack([f[i] for f in found]) for i in range(3))
     return Outages(nodes.t[rows], np.asarray(horizons, dtype=np.float64), error, stated, own)
+
+
+def settled_at(run: FilterResult) -> float:
+    """When a run knows its attitude to :data:`SETTLED_FACTOR` times the median of the second half, s; :data:`SETTLED_S` after the start at least."""
+    nodes = run.nodes
+    assert nodes is not None
+    sigma = np.sqrt(np.maximum(np.einsum("kii->ki", nodes.P_after)[:, 6:9], 0.0))
+    good = (sigma <= SETTLED_FACTOR * np.median(sigma[len(sigma) // 2 :], axis=0)).all(axis=1)
+    return float(max(nodes.t[0] + SETTLED_S, nodes.t[int(np.argmax(good))]))
+
+
+def _used(run: FilterResult) -> Array:
+    """Times at which the filter took a position, ascending, s."""
+    positions = run.fixes.accepted & (run.fixes.kind == FIX) & np.isfinite(run.fixes.innovation[:, 0])
+    return np.asarray(run.fixes.t[positions])
+
+
+def usual_step(run: FilterResult) -> float:
+    """Usual time from one position to the next, s; infinite where there are not two."""
+    used = _used(run)
+    return float(np.median(np.diff(used))) if used.size > 1 else np.inf
+
+
+def last_used(run: FilterResult, t: Array) -> Array:
+    """When the filter took the last position before each of some times.
+
+    Parameters
+    ----------
+    run : FilterResult
+    t : (k,) array
+        s.
+
+    Returns
+    -------
+    (k,) array
+        s; -inf where there was none.
+    """
+    used = np.append(-np.inf, _used(run))
+    return used[np.searchsorted(used, t + 1e-6, side="right") - 1]
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A time without fixes in the recording itself, and the first fix after it.
+
+    Parameters
+    ----------
+    start, seconds : float
+        Last fix before, and time to the first one after it, s.
+    error, stated : float
+        Horizontal innovation of that fix and the standard deviation that the filter states of it, m; both hold the fix's own.
+    """
+
+    start: float
+    seconds: float
+    error: float
+    stated: float
+
+
+def gaps_of(run: FilterResult) -> list[Gap]:
+    """Gaps between the positions of a run of a filter."""
+    f, step = run.fixes, usual_step(run)
+    rows = np.flatnonzero(f.accepted & (f.kind == FIX) & np.isfinite(f.innovation[:, :2]).all(axis=1))
+    apart = np.diff(f.t[rows])
+    found = np.flatnonzero((apart >= GAP_S) & (apart >= GAP_STEPS * step))
+    return [
+        Gap(
+            float(f.t[rows[i]]),
+            float(apart[i]),
+            float(np.hypot(*f.innovation[rows[i + 1], :2])),
+            float(np.sqrt(np.trace(f.S[rows[i + 1], :2, :2]))),
+        )
+        for i in found
+    ]

@@ -14,7 +14,8 @@ from insemu.errors import InputError
 from insemu.evaluate import Verdict, lag_products, nis_test, whiteness_verdicts
 from insemu.filters import FilterResult, LooselyCoupledEKF, SmootherResult, smooth
 from insemu.intake import Card
-from insemu.records import Recording
+from insemu.noise import WN
+from insemu.records import AXES, Recording
 from insemu.shown import Shown, few
 from insemu.solve.beliefs import (
     AWAY,
@@ -25,7 +26,8 @@ from insemu.solve.beliefs import (
     likelihood_of,
 )
 from insemu.solve.drive import Drive, prepared
-from insemu.solve.outages import HORIZONS, SETTLED_S, Outages, cut_everywhere
+from insemu.solve.outages import HORIZONS, SETTLED_S, Gap, Outages, cut_everywhere, gaps_of, settled_at
+from insemu.solve.outliers_of_fixes import outlying
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,12 +41,18 @@ COARSE_S = 5.0
 OFFSET_S, OFFSET_SIGMAS = 0.005, 5.0
 #: An offset moves the start, which moves the offset: so many rounds at most.
 CLOCK_ROUNDS = 2
+#: Outliers of the fixes raise the noise that hides others: so many rounds at most.
+OUTLIER_ROUNDS = 4
+#: Fixes that scatter by less than this of what they state are tried at what they scatter.
+OVERSTATED = 0.8
 #: Calibration states are tried on so many of the best designs.
 BEST = 2
 #: Speed from which the direction of the velocity in the body counts, m/s; scatter above which it tells no mounting, rad.
 FORWARD_SPEED, FORWARD_SPREAD = 4.0, np.deg2rad(8.0)
-#: Innovations squared per degree of freedom of a design that knows its error well enough.
+#: Normalised squares per degree of freedom, of the innovations and of the errors after outages, of a design that knows its error well enough.
 KNOWS = (0.3, 3.0)
+#: A sensor that errs by so many times its own scatter from sample to sample is the suspect, whatever the verdict.
+SUSPECT = 10.0
 
 
 @dataclass(frozen=True)
@@ -67,6 +75,16 @@ class Scored:
         """Normalised innovation squared per degree of freedom."""
         used = self.run.fixes.accepted
         return float(self.run.fixes.nis[used].sum() / max(self.run.fixes.dof[used].sum(), 1))
+
+    @property
+    def factor(self) -> float:
+        """By how much errors exceed what is stated: the root of the normalised square that is worst, of the innovations or after any outage.
+
+        1 where all are inside :data:`KNOWS`, NaN without an outage.
+        """
+        after = [v for k in range(self.outages.horizons.size) if np.isfinite(v := self.outages.nees(k))]
+        worst = max((self.nis, *after), key=lambda v: abs(np.log(max(v, 1e-300))))
+        return np.nan if not after else 1.0 if KNOWS[0] <= worst <= KNOWS[1] else float(np.sqrt(worst))
 
     def figures(self) -> dict[str, Any]:
         """The score as plain data."""
@@ -130,6 +148,8 @@ class Solution(Shown):
     mounting : Mounting or None
     clock : (float, float)
         By how much the stamps of the IMU are late against those of the fixes, and its standard deviation, s.
+    gaps : tuple of Gap
+        Times without fixes in the recording itself.
     """
 
     drive: Drive
@@ -140,6 +160,7 @@ class Solution(Shown):
     verdicts: tuple[Verdict, ...]
     mounting: Mounting | None
     clock: tuple[float, float]
+    gaps: tuple[Gap, ...] = ()
 
     def __str__(self) -> str:
         d, late = self.drive, self.clock
@@ -164,6 +185,36 @@ class Solution(Shown):
                 low, high = outage.pop("rms_ci95_m")
                 rows.append({**figures, **outage, "rms_low_m": low, "rms_high_m": high})
         return pd.DataFrame(rows).drop(columns="about").set_index(["design", "seconds"])
+
+    @property
+    def suspects(self) -> dict[str, float]:
+        """Axes whose white noise, as the innovations ask for it, exceeds by :data:`SUSPECT` times what their samples scatter, and by how much.
+
+        Noise from sample to sample is white noise at least; an axis that errs by far more is dead, holds another quantity, is scaled or turned
+        wrongly.
+        """
+        d, imu = self.drive, self.drive.imu.as_increments()
+        out: dict[str, float] = {}
+        adapted = [s.candidate for s in self.tried if s.candidate.name.startswith("adapted by axis")]
+        steps: Array = np.std(np.diff(np.hstack([imu.gyro, imu.accel])[1:], axis=0), axis=0)
+        for a, own in zip(AXES, (steps / np.sqrt(2.0 * d.imu.dt)).tolist(), strict=True):
+            asked = max((p.parameters["N"] for c in adapted for p in c.belief[a] if isinstance(p, WN)), default=0.0)
+            if asked > SUSPECT * own:
+                out[a] = asked / own if own > 0.0 else np.inf
+        return out
+
+    @property
+    def biases(self) -> dict[str, tuple[float, float, float]]:
+        """Of every axis the bias at the end, its standard deviation, and the part that was taken off before the filter began, rad/s or m/s^2."""
+        aug = self.taken.candidate.filter(self.drive).augmentation
+        before = dict(zip(AXES, self.drive.aligned.bias_beyond(aug.turn_on_sigma()[:3]), strict=False))
+        x, P = self.smoothed.imu_states[-1], self.smoothed.covariance[-1, 9:, 9:]
+        out: dict[str, tuple[float, float, float]] = {}
+        for k, a in enumerate(AXES):
+            c = np.where((aug.axis == k) & (aug.driver < 0), aug.c, 0.0)
+            off = float(before[a]) if a in before else 0.0
+            out[a] = (off + float(c @ x), float(np.sqrt(max(float(c @ P @ c), 0.0))), off)
+        return out
 
     @property
     def estimated(self) -> list[tuple[str, float, float, float]]:
@@ -225,6 +276,11 @@ def solve(
         drive = drive.shifted(late).started(card)
         own = adapted(base, drive)
     own = max((own, adapted(base, drive, away=AWAY)), key=likelihood_of(drive))
+    say("outliers of the fixes")
+    drive, own = without_outliers(drive, base, own)
+    scattering = adapted(own, drive, overstated=True)
+    settled = settled_at(flown(own.filter(drive, store="fixes"), drive, own))
+    drive = replace(drive, scatter=(scattering.position, scattering.velocity), settled=settled)
     tried: list[Scored] = []
     refused: list[str] = []
 
@@ -234,13 +290,16 @@ def solve(
         except InputError as error:
             refused.append(error.message)
 
+    say(f"design {own.name}")
+    attempt(own)
+    if min(scattering.position / own.position, scattering.velocity / own.velocity) < OVERSTATED:
+        attempt(scattering)
+    # the noise of the fixes is theirs, not the design's
+    fixes = min(tried, key=lambda s: s.score).candidate if tried else own
     say("noise of each axis")
-    for one in (own, adapted(own, drive, by_axis=True), *beliefs):
+    for one in (adapted(fixes, drive, by_axis=True, overstated=fixes is scattering), *beliefs):
         say(f"design {one.name}")
-        believed = replace(
-            one, position=own.position, velocity=own.velocity
-        )  # the noise of the fixes is theirs, not the design's
-        attempt(believed)
+        attempt(replace(one, position=fixes.position, velocity=fixes.velocity))
     tried.sort(key=lambda s: s.score)
     if not tried:
         raise InputError(f"no design runs on this recording: {refused[0]}", where=recording.source)
@@ -253,7 +312,46 @@ def solve(
     smoothed = smooth(taken.run)
     late, sigma = clock_offset(taken.candidate, drive)
     clock = (drive.clock + late, sigma)
-    return Solution(drive, card, tuple(tried), taken, smoothed, verdicts_of(taken.run), mounting_of(smoothed), clock)
+    verdicts, gaps = verdicts_of(taken.run), tuple(gaps_of(taken.run))
+    return Solution(drive, card, tuple(tried), taken, smoothed, verdicts, mounting_of(smoothed), clock, gaps)
+
+
+def without_outliers(drive: Drive, base: Candidate, own: Candidate) -> tuple[Drive, Candidate]:
+    """Leave out the fixes that all others contradict, and adapt the belief anew.
+
+    Parameters
+    ----------
+    drive : Drive
+        With a start.
+    base, own : Candidate
+        The grade, and what was adapted from it on all fixes.
+
+    Returns
+    -------
+    Drive, Candidate
+        The same where there is no outlier.
+    """
+    all_fixes, gone, velocities, largest = drive.gnss, np.zeros(0), np.zeros(0), 0.0
+    for _ in range(OUTLIER_ROUNDS):
+        found = outlying(flown(own.filter(drive, store="fixes"), drive, own))
+        if not found.positions.size and not found.velocities.size:
+            break
+        gone, velocities = np.union1d(gone, found.positions), np.union1d(velocities, found.velocities)
+        largest = max(largest, found.largest)
+        drive = replace(drive, gnss=all_fixes.without_positions(gone).without_velocities(velocities))
+        own = adapted(base, drive)
+    parts = [
+        f"{times.size} of {len(all_fixes)} {name}{farthest}"
+        for times, name, farthest in (
+            (gone, "positions", f" (up to {largest:.3g} m away)"),
+            (velocities, "velocities", ""),
+        )
+        if times.size
+    ]
+    if parts:
+        said = f"{' and '.join(parts)} of the fixes are outliers, which all others contradict: they are left out"
+        drive = replace(drive, said=(*drive.said, said))
+    return drive, own
 
 
 def likeliest_grade(beliefs: Sequence[Candidate], drive: Drive) -> Candidate:
@@ -282,9 +380,13 @@ def scored(candidate: Candidate, drive: Drive, every: float, workers: int) -> Sc
         Navigation diverges, or the run is too short for an outage.
     """
     ekf = candidate.filter(drive, store="fixes", node_every=1.0, output_every=max(1, round(1.0 / drive.imu.dt)))
-    imu, gnss = drive.flown(ekf)
     run = flown(ekf, drive, candidate)
-    return Scored(candidate, run, cut_everywhere(ekf, run, imu, candidate.fixes(gnss), every=every, workers=workers))
+    imu, _ = drive.flown(ekf)
+    return Scored(
+        candidate,
+        run,
+        cut_everywhere(ekf, run, imu, drive.reference(), settled=drive.settled, every=every, workers=workers),
+    )
 
 
 def flown(ekf: LooselyCoupledEKF, drive: Drive, candidate: Candidate) -> FilterResult:
