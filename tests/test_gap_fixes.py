@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from benchmarks.foreign import sensors
 from benchmarks.foreign.judge import Job, drawn, taken
+from insemu import earth
 from insemu.effects import EFFECTS, EffectUse, having
 from insemu.errors import InputError
 from insemu.filters import log_density
@@ -41,6 +42,7 @@ from insemu.gap.problems.named import held_out
 from insemu.gap.verdict import Finding, Value
 from insemu.gap.worth import stated_in_outages
 from insemu.records import GnssRecord, Recording
+from insemu.report import finding_action
 from insemu.scenario import Gnss
 from tests.test_gap_dynamic import BELIEF, LEVER, flown, nominal_run, recording, use
 
@@ -67,6 +69,33 @@ def with_outliers(made: Recording, share: float, sigma: float, seed: int = 5) ->
     metres = hit[:, None] * rng.standard_normal((len(fixes), 3)) * sigma
     llh = fixes.llh + metres * np.array([1.0, 1.3, -1.0]) / np.array([6.37e6, 6.37e6, 1.0])
     return replace(made, gnss=replace(fixes, llh=llh)), hit
+
+
+def test_what_nobody_states_of_the_fixes_is_estimated_and_told() -> None:
+    """Neither record nor model has standard deviations: those of the scatter are believed, and nothing of it is called stated."""
+    made = recording()
+    fixes = made.gnss
+    assert isinstance(fixes, GnssRecord) and fixes.pos_std_ned is not None and fixes.vel_std_ned is not None
+    more, rng = np.array([0.4, 0.4, 0.6]), np.random.default_rng(3)
+    noisy = earth.move(fixes.llh, more * rng.standard_normal((len(fixes), 3)))
+    bare = replace(made, gnss=replace(fixes, llh=noisy, pos_std_ned=None, vel_std_ned=None))
+    believed, assumed = Nominal(dict(BELIEF), Gnss(lever_arm=LEVER)).on(bare)
+    rms = [np.sqrt(np.mean(v**2, axis=0)) for v in (fixes.pos_std_ned, fixes.vel_std_ned)]
+    assert believed.gnss.position_sigma == pytest.approx(np.hypot(rms[0], more), rel=0.25)
+    assert believed.gnss.velocity_sigma == pytest.approx(
+        np.maximum(rms[1], 0.05), rel=0.4
+    )  # the vehicle's jerk is in it
+    assert len(assumed) == 2 and all("assumed from their scatter" in line for line in assumed)
+    given, said = Nominal(dict(BELIEF), Gnss(position_sigma=SIGMA, velocity_sigma=None)).on(bare)
+    assert given.gnss.position_sigma == SIGMA and given.gnss.velocity_sigma is None and said == ()
+    assert Nominal(dict(BELIEF)).on(made)[1] == ()
+    report = find_gap(
+        bare, Nominal(dict(BELIEF), Gnss(lever_arm=LEVER)), rng=np.random.default_rng(1), hold_out=False, pictures=False
+    )
+    assert report.assumed == assumed and report.verdict == "nothing missing"
+    level = Finding("gnss_velocity_noise", "", "gnss", (), (Value("level", 2.0, 1.9, 2.1, ""),), 1.0, 90.0, ())
+    assert finding_action(level, assumed).startswith("multiply the assumed standard deviations")
+    assert finding_action(level).startswith("multiply the stated standard deviations")
 
 
 @pytest.mark.slow

@@ -181,6 +181,8 @@ def _tell(report: GapReport, console: Console) -> None:
     from insemu.shown import with_interval
 
     console.print(f"[bold]{report.verdict}[/bold]: {gap_headline(report)}")
+    for said in report.assumed:
+        console.print(said, highlight=False, markup=False)
     word, figures, _ = is_better(report)
     console.print(f"Is the refined model better? {word}: {figures}", highlight=False, markup=False)
     if report.findings:
@@ -201,7 +203,7 @@ def _tell(report: GapReport, console: Console) -> None:
             )
         print_table(console, "What is missing, most metres first", heads, body, left=2, fit=True, gap=lambda row: False)
         for n, s in most:
-            console.print(f"{n}. {finding_action(s)}", highlight=False, markup=False)
+            console.print(f"{n}. {finding_action(s, report.assumed)}", highlight=False, markup=False)
             for v in map(shown_value, s.parameters[:6]):
                 said = with_interval(v.value, v.low, v.high)
                 console.print(f"   {v.name} {said} {v.unit}", highlight=False, markup=False)

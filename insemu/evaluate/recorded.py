@@ -23,7 +23,7 @@ from insemu.filters import (
     Standstill,
     cut,
     rests,
-    sigma_of_fixes,
+    with_standard_deviations,
 )
 from insemu.filters import start as start_of
 from insemu.formats import read_recording
@@ -109,20 +109,17 @@ class RecordedWorld:
         """Standard deviations of the receiver where it states them, else the scenario's; what neither says is assumed, and said."""
         g = self.scenario.gnss
         asked = g.model_fields_set
-        gnss = gnss.with_sigma(
+        known, assumed = with_standard_deviations(
+            gnss,
             g.position_sigma if "position_sigma" in asked else None,
             g.velocity_sigma if "velocity_sigma" in asked else None,
         )
-        guessed = sigma_of_fixes(gnss)
-        for name, unit, key in (("pos_std_ned", "m", "position_sigma"), ("vel_std_ned", "m/s", "velocity_sigma")):
-            stated, value = getattr(gnss, name), getattr(guessed, name)
-            if stated is None and value is not None and (name == "pos_std_ned" or g.velocity_sigma is not None):
-                north, east, down = value[0]
-                self.warnings += (
-                    f"{self.source.file}: the fixes state no standard deviations; {north:.2g}, {east:.2g}, {down:.2g} {unit} north, east, down are "
-                    f"assumed from their scatter (gnss.{key} states them)",
-                )
-        return guessed
+        self.warnings += tuple(
+            f"{self.source.file}: {said} (the scenario's gnss states them)"
+            for what, said in assumed.items()
+            if what == "positions" or g.velocity_sigma is not None
+        )
+        return known
 
     @cached_property
     def card(self) -> Card:

@@ -13,6 +13,7 @@ from insemu.filters.alignment import (
     on_reference,
     on_track,
     sigma_of_fixes,
+    with_standard_deviations,
 )
 from insemu.filters.ekf import LooselyCoupledEKF, run_filter
 from insemu.filters.events import SAME_TIME
@@ -91,4 +92,5 @@ __all__ = [
     "uncertainty",
     "user_filter",
     "user_filter_code",
+    "with_standard_deviations",
 ]

@@ -142,6 +142,34 @@ def sigma_of_fixes(gnss: GnssRecord) -> GnssRecord:
     return gnss.with_sigma(place, velocity)
 
 
+def with_standard_deviations(
+    gnss: GnssRecord, position: ArrayLike | None = None, velocity: ArrayLike | None = None
+) -> tuple[GnssRecord, dict[str, str]]:
+    """The fixes with standard deviations: their own, else those that are given, else those of their scatter.
+
+    Parameters
+    ----------
+    gnss : GnssRecord
+    position, velocity : array_like, optional
+        Given standard deviations, scalar or north, east, down, m and m/s.
+
+    Returns
+    -------
+    GnssRecord, dict of str
+        The fixes, and what was assumed of ``positions`` and ``velocities``, in words.
+    """
+    known = gnss.with_sigma(position, velocity)
+    out, said = sigma_of_fixes(known), dict[str, str]()
+    for name, what, unit in (("pos_std_ned", "positions", "m"), ("vel_std_ned", "velocities", "m/s")):
+        if getattr(known, name) is None and (value := getattr(out, name)) is not None:
+            north, east, down = value[0]
+            said[what] = (
+                f"the fixes state no standard deviations of their {what}: {north:.2g}, {east:.2g}, {down:.2g} {unit} north, east, down are assumed "
+                "from their scatter"
+            )
+    return out, said
+
+
 def align_at_rest(
     imu: ImuRecord, llh: Array, rest: tuple[float, float], *, heading: float | None = None, heading_sigma: float = np.pi
 ) -> Alignment:

@@ -81,10 +81,12 @@ def find_gap(
     InputError
         Data or beliefs that cannot be used.
     """
+    believed, assumed = nominal.parted(), tuple[str, ...]()
+    if isinstance(measured, Recording):
+        believed, assumed = believed.on(measured)
     with under(policy):
-        return _find(
-            measured, nominal.parted(), rng, without, hold_out, pictures, progress or (lambda _: None), flown, pool
-        )
+        report = _find(measured, believed, rng, without, hold_out, pictures, progress or (lambda _: None), flown, pool)
+    return replace(report, assumed=assumed)
 
 
 def _find(

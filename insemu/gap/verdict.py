@@ -356,6 +356,8 @@ class GapReport(Shown):
         Gain of log score of each aid with findings on its last part, by what its first part names: nats per block.
     burst : Burst, optional
         The fixes on which a large part of ``gap_after`` stands, where there are such.
+    assumed : tuple of str
+        What neither recording nor model states and was estimated from the recording, in words.
     """
 
     verdict: VerdictName
@@ -377,6 +379,7 @@ class GapReport(Shown):
     unresolved: tuple[float, ...] = ()
     aids_held_out: Mapping[str, Interval] = field(default_factory=dict)
     burst: Burst | None = None
+    assumed: tuple[str, ...] = ()
 
     def nees(self, finding: Finding) -> float:
         """NEES of the horizontal position per degree of freedom at the end of a minute without fixes, of a filter that lacks this finding alone.
@@ -469,6 +472,7 @@ class GapReport(Shown):
             "threshold_nats": self.threshold_nats,
             "source": self.source,
             "remainder": self.remainder,
+            "assumed": list(self.assumed),
             "band": [b.to_json() for b in self.band],
             "unresolved": list(self.unresolved),
             "outliers": {effect: at.tolist() for effect, at in self.outliers.items()},

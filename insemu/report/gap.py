@@ -117,15 +117,25 @@ def shown_value(value: Value) -> Value:
     return replace(value.scaled(factor), unit="" if unit == "1" else unit)
 
 
-def finding_action(finding: Finding) -> str:
-    """What to do about a finding, in one line; values in units of datasheets."""
+def finding_action(finding: Finding, assumed: Sequence[str] = ()) -> str:
+    """What to do about a finding, in one line; values in units of datasheets.
+
+    Parameters
+    ----------
+    finding : Finding
+    assumed : sequence of str
+        ``assumed`` of the report: what the fixes do not state is not called stated.
+    """
     shown = [shown_value(v) for v in finding.parameters[:3] if v.name != "follows"]
     # of a vector the component alone: "value_x" is x, "rpy_roll" roll
     values = ", ".join(
         f"{v.name.removeprefix('value_').removeprefix('rpy_')} {v.value:.3g} {v.unit}".strip() for v in shown
     )
     follows = ", going with what the receiver states" if _follows(finding) else ""
-    return _ACTIONS.get(finding.effect, "model or calibrate it: {}").format(values, follows=follows)
+    text = _ACTIONS.get(finding.effect, "model or calibrate it: {}")
+    if any(part in said for said in assumed for part in ("positions", "velocities") if part in text):
+        text = text.replace("stated", "assumed")
+    return text.format(values, follows=follows)
 
 
 def _follows(finding: Finding) -> bool:
@@ -167,7 +177,7 @@ def gap_headline(report: GapReport) -> str:
         names = list(dict.fromkeys(_subject(s) for _, s in report.numbered()))
         extra = f" What was named explains part of it: {_few(names)}." if names else ""
         return "The recording holds something that no effect of the catalogue explains." + extra
-    settings = [finding_action(s) for s in report.findings if s.is_setting]
+    settings = [finding_action(s, report.assumed) for s in report.findings if s.is_setting]
     # levels alone are what the model lacks; beside anything else they are said as settings, first
     found = [s for s in report.findings if not s.is_setting] or report.findings
     ahead = f"Set first: {'; '.join(settings)}. " if settings and len(found) < len(report.findings) else ""
@@ -375,7 +385,7 @@ def _found(report: GapReport, order: Sequence[tuple[int, Finding]]) -> Table:
         [
             f"{number}. {effect_name(s.effect)}" + (f" ({s.variant})" if s.variant else ""),
             sensor_axes(s.sensor, s.axes),
-            finding_action(s),
+            finding_action(s, report.assumed),
             f"{s.nats:.1f}",
             f"{s.confidence:.3f}",
             finding_metres(s),
@@ -416,7 +426,11 @@ def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
     """What was found, how sure that is, what it is worth, and the evidence for it."""
     order = report.numbered()
     said = filtered_said(report)
-    suspects: list[Block] = [*([Text(said)] if said else []), _found(report, order[:FIRST_SCREEN])]
+    suspects: list[Block] = [
+        *map(Text, report.assumed),
+        *([Text(said)] if said else []),
+        _found(report, order[:FIRST_SCREEN]),
+    ]
     if rest := order[FIRST_SCREEN:]:
         suspects.append(Folded(folded_said(report), [_found(report, rest)]))
     classes = [s for s in report.findings if s.is_class]
@@ -506,7 +520,7 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
         kind="gap",
         source=report.source,
         answer=gap_headline(report),
-        cards=[_better(report), *(_card(n, s) for n, s in report.numbered()[:FIRST_SCREEN])],
+        cards=[_better(report), *(_card(report, n, s) for n, s in report.numbered()[:FIRST_SCREEN])],
     )
 
 
@@ -545,10 +559,10 @@ def _better(report: GapReport) -> Card:
     )
 
 
-def _card(number: int, finding: Finding) -> Card:
+def _card(report: GapReport, number: int, finding: Finding) -> Card:
     metres = (
         f"{finding_metres(finding)} m after 60 s without fixes" if math.isfinite(finding.metres) else "Metres not known"
     )
     sure = f"{finding.nats:.1f} nats, confidence {finding.confidence:.3f}"
     tone = "warn" if finding.is_class or finding.doubtful else "bad"
-    return Card(f"{number}. {_subject(finding)}", metres, sure, tone, [finding_action(finding)])
+    return Card(f"{number}. {_subject(finding)}", metres, sure, tone, [finding_action(finding, report.assumed)])

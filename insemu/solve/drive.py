@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from insemu import earth
 from insemu.errors import InputError
 from insemu.evaluate import BRIDGED_S
-from insemu.filters import Alignment, LooselyCoupledEKF, cut, sigma_of_fixes
+from insemu.filters import Alignment, LooselyCoupledEKF, cut, with_standard_deviations
 from insemu.filters import start as start_of
 from insemu.intake import Card
 from insemu.lost import restored
@@ -151,13 +151,8 @@ def prepared(recording: Recording, lever_arm: ArrayLike = (0.0, 0.0, 0.0)) -> Dr
             "before their stamps are): they are left out"
         )
         gnss = gnss.without_velocity()
-    known = sigma_of_fixes(gnss)
-    for name, unit in (("pos_std_ned", "m"), ("vel_std_ned", "m/s")):
-        if getattr(gnss, name) is None and (value := getattr(known, name)) is not None:
-            said.append(
-                f"the fixes state no standard deviations: {value[0, 0]:.2g}, {value[0, 1]:.2g}, {value[0, 2]:.2g} {unit} north, east, down are "
-                "assumed from their scatter"
-            )
+    known, assumed = with_standard_deviations(gnss)
+    said += assumed.values()
     return Drive(
         imu,
         known,

@@ -102,7 +102,7 @@ def levels_of(
     """
     if measured.gnss is None:
         raise InputError("has no GNSS fixes, expected a drive or flight with fixes", where=measured.source)
-    nominal = nominal.parted()
+    nominal, _ = nominal.parted().on(measured)
     recording, moved = drive_without(measured, nominal, filled=True)
     imu, gnss, state, sigma = starting_state(recording, moved)
     gnss = with_sigma(gnss, moved)

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from insemu import yamlfile
 from insemu.effects import EffectUse
 from insemu.errors import InputError
+from insemu.filters import with_standard_deviations
 from insemu.noise import DR, SIN, NoiseModel, load
+from insemu.records import Recording
 from insemu.scenario import EffectList, Gnss, Initial, NonHolonomic, Scenario, Section, SensorModels, validated
 from insemu.scenario import load as load_scenario
 
@@ -71,6 +73,28 @@ class Nominal:
             rest = tuple(p for p in model if p not in known)
             beliefs[name] = NoiseModel(rest) if known and rest else model
         return replace(self, beliefs=beliefs, effects=tuple(effects))
+
+    def on(self, recording: Recording) -> tuple[Nominal, tuple[str, ...]]:
+        """The model with the standard deviations that neither it nor the recording states, from the scatter of the fixes.
+
+        Returns
+        -------
+        Nominal, tuple of str
+            What is believed, and what was assumed, in words.
+        """
+        g, gnss = self.gnss, recording.gnss
+        if gnss is None:
+            return self, ()
+        stated, given = g.model_fields_set, {}
+        fixes, assumed = with_standard_deviations(
+            gnss.without_velocity() if g.velocity_sigma is None else gnss,
+            g.position_sigma if "position_sigma" in stated else None,
+            g.velocity_sigma if "velocity_sigma" in stated else None,
+        )
+        for what, sigma in (("positions", fixes.pos_std_ned), ("velocities", fixes.vel_std_ned)):
+            if what in assumed and sigma is not None:
+                given["position_sigma" if what == "positions" else "velocity_sigma"] = tuple(sigma[0].tolist())
+        return replace(self, gnss=g.model_copy(update=given)), tuple(assumed.values())
 
     @property
     def settled_levels(self) -> NDArray[np.float64]:
