@@ -225,7 +225,7 @@ def test_states_of_which_only_the_sum_shows_are_one() -> None:
     sums = merged_states(Phi, np.zeros((2, 6, 13)))
     assert [list(np.flatnonzero(row)) for row in sums[9:]] == [[9, 10], [11], [12]]
     kept = sums.argmax(axis=1)
-    np.testing.assert_array_equal(sums @ Phi, (sums @ Phi[:, :, kept]) @ sums)
+    np.testing.assert_allclose(sums @ Phi, (sums @ Phi[:, :, kept]) @ sums, atol=1e-15)  # at most two terms of order 1
 
 
 def test_climbs_side_by_side_end_where_each_alone_does() -> None:
