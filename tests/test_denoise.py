@@ -73,7 +73,9 @@ def test_bands_of_packets_put_together_are_the_signal(mode: Mode, n: int) -> Non
     clean = denoise(x, 5, rule="packets", mode=mode)
     assert clean.size == n and np.std(clean - x) < 0.05 * 0.42
     np.testing.assert_allclose(denoise(-3.0 * x + 9.8, 5, rule="packets", mode=mode), -3.0 * clean + 9.8, atol=1e-9)
-    np.testing.assert_allclose(denoise(np.full(n, 9.8), 3, rule="packets", mode=mode), 9.8, rtol=n * np.spacing(1.0))  # of a mean
+    np.testing.assert_allclose(
+        denoise(np.full(n, 9.8), 3, rule="packets", mode=mode), 9.8, rtol=n * np.spacing(1.0)
+    )  # of a mean
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,7 @@ def test_compiled_and_reference_filter_agree(road, model, extras):
     np.testing.assert_allclose(a.fixes.S, b.fixes.S, rtol=1e-9, atol=1e-16)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hours of flight or many realizations")
 @pytest.mark.parametrize("model", [MODEL_15, MODEL_24, MODEL_27], ids=["15", "24", "27"])
 def test_compiled_and_reference_filter_agree_over_twenty_minutes(model):
     road = cases.drive(1200.0)

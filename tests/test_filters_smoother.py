@@ -132,7 +132,7 @@ def test_the_last_node_is_the_filters_and_nodes_are_needed():
         smooth(LooselyCoupledEKF(MODEL_15, DT).run(*data, START_SIGMA))
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hours of flight or many realizations")
 def test_half_the_error_in_the_middle_of_a_long_outage():
     """130 s without fixes, 24 realizations: horizontal rms in the middle at most half of the filter's at the same epoch."""
     road, errors = cases.drive(400.0), []

@@ -225,7 +225,7 @@ def test_bad_input_of_the_command_is_named(tmp_path):
     assert isinstance(ran.exception, InputError)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="real recordings of hours")
 def test_real_static_logs_choose_models_that_predict_the_next_run():
     """Scale by scale: from 0.02 s to 40 s the prediction of run 2 holds within a quarter (deviation)."""
     folder = shared("real")

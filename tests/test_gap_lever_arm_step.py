@@ -110,6 +110,7 @@ def test_its_size_is_estimated_with_all_other_numbers(train) -> None:
     assert start == found.parameters[1]
 
 
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_a_change_that_the_filter_follows_within_a_fix_is_found_at_that_fix() -> None:
     """At evenly spaced times it was found a minute off: a second beside it, it is worth 97 of its 146 nats."""
     world, (hidden,), _ = drawn(judge.Job("rarer", 6042, 360.0, True))
@@ -121,6 +122,7 @@ def test_a_change_that_the_filter_follows_within_a_fix_is_found_at_that_fix() ->
     assert value.low < hidden.values["value"] < value.high
 
 
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_it_gives_way_to_a_lever_arm_that_explains_more_throughout() -> None:
     """A walker's, beside a temperature: named first as a change 9 s behind the start, and 13 nats better as an arm."""
     world, hidden, _ = drawn(judge.Job("two", 790045, 360.0, True))

@@ -200,7 +200,7 @@ def test_draws_have_the_allan_variance_of_the_closed_form(name: str) -> None:
             assert abs(estimate.mean() - 1.21 * truth) > 4.9 * standard_error
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 @pytest.mark.parametrize("name", [k for k, v in CASES.items() if v.stationary])
 def test_draws_start_stationary(name: str) -> None:
     model = CASES[name]

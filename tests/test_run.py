@@ -127,7 +127,7 @@ def test_realizations_are_the_same_alone_in_parallel_and_among_more(tmp_path: Pa
     assert not np.array_equal(few.error, other.error)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="whole commands, whose parts have quick tests")
 @pytest.mark.pictures
 def test_smoother_budget_and_published_figures_come_with_a_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
