@@ -9,7 +9,7 @@ FLOWN := $(VENV)/.flown
 # Containers often ask Python to keep no compiled modules; then each start compiles 1,500 of them again, 4 s.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-slow scoreboard scoreboard-release claims claims-nightly lint bench docs links setup smoke wheel lock clean
+.PHONY: demo test test-slow test-target scoreboard scoreboard-release claims claims-nightly lint bench docs links setup smoke wheel lock clean
 
 demo: $(FLOWN)
 	$(BIN)/insemu run scenarios/table3_synthetic.yaml --workers $(WORKERS) --out results/table3_synthetic
@@ -19,6 +19,12 @@ test: $(FLOWN)
 
 test-slow: $(FLOWN)
 	$(BIN)/python -m pytest -m slow -n $(WORKERS)
+
+# The quick tests, or some, with the arithmetic of another processor: TARGET=generic, x86-64-v2, x86-64-v3, skylake-avx512.
+TARGET ?= generic
+TESTS ?=
+test-target: $(STAMP)
+	.ci/target.sh $(TARGET) $(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --dist loadfile $(TESTS)
 
 # Fixed blind recordings against tests/scoreboard.yaml, all or LIMIT of them: what moved, and failure where a score left its binomial bound.
 LIMIT ?= 0
@@ -79,4 +85,4 @@ lock:
 	rm -rf .venv-lock
 
 clean:
-	rm -rf $(VENV) .venv-ci site docs/reference results/table3_synthetic results/real_static
+	rm -rf $(VENV) .venv-ci .kernels site docs/reference results/table3_synthetic results/real_static

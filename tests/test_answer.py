@@ -49,7 +49,7 @@ def test_a_pessimistic_filter_and_none_that_knows_its_error() -> None:
 
 
 def test_an_immaterial_difference_is_none_however_many_realizations_show_it() -> None:
-    slightly = results(runs=2000)
+    slightly = results(runs=400)
     slightly = slightly.with_data({"nees": slightly.nees * 1.08**2})
     assert {s.knows for s in standings(slightly)} == {"yes"}
     assert {s.knows for s in standings(slightly.with_data({"nees": slightly.nees * 1.2}))} == {"optimistic"}

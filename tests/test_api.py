@@ -91,7 +91,7 @@ def test_a_run_and_an_emulation_from_plain_data() -> None:
         ins.run(scenario | {"titel": "x"})
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="whole commands, whose parts have quick tests")
 def test_a_recording_is_solved_at_the_top_as_by_the_command(tmp_path: Path) -> None:
     scenario = {
         "title": "t",

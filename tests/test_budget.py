@@ -5,11 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.budget import BUDGET, FRESH, binomial, binomial_power, chi_square, chi_square_power, collected, statistical
+from tests.budget import (
+    BUDGET,
+    FRESH,
+    binomial,
+    binomial_power,
+    chi_square,
+    chi_square_power,
+    collected,
+    files,
+    statistical,
+)
 
 
-def test_all_shares_together_are_within_the_budget() -> None:
-    stated = collected()
+def test_all_shares_together_are_within_the_budget(all_collected: list[pytest.Item]) -> None:
+    here = {i.nodeid: i.function.stated for i in all_collected if hasattr(getattr(i, "function", None), "stated")}  # type: ignore[attr-defined]
+    # a run of some files asks a process that collects all of them
+    stated = here if set(files()) == {name.split("::")[0] for name in here} else collected()
     assert len(stated) > 40
     assert 0.0 < sum(s.share for s in stated.values()) <= BUDGET
     weak = [name for name, s in stated.items() if not (0 < s.share < 1 and s.cells >= 1 and s.power >= 0.8)]

@@ -282,7 +282,7 @@ def test_help_imports_nothing_heavy() -> None:
     subprocess.run([sys.executable, "-c", text], check=True, env=environment)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="real recordings of hours")
 @pytest.mark.parametrize("name", ["adis16405_static_run1", "ch104_static"])
 def test_real_logs(name: str) -> None:
     reports = {a.name: a for a in characterise_log(formats.read_log(shared(f"real/{name}.npz")))}

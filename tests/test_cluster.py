@@ -41,7 +41,13 @@ def address() -> Iterator[str]:
 
 
 @pytest.mark.filterwarnings("default")  # of the cluster's own
-@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in COMMANDS])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(n, marks=pytest.mark.slow(reason="another case of a quick test")) if n in LONG else n
+        for n in COMMANDS
+    ],
+)
 def test_a_command_says_the_same_on_a_cluster(
     name: str, address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -98,7 +98,7 @@ def test_rms_of_flown_runs_is_what_the_analysis_says(belief):
     assert not inside(errors, twin, 2e-5)[1].all()
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hours of flight or many realizations")
 @pytest.mark.parametrize("belief", [MODEL_24, WHITE], ids=["matched", "mismatched"])
 @statistical(2e-5, 12, power=chi_square_power(400, 2e-5, 12, 1.5))  # an rms 22 % off
 def test_four_hundred_runs_agree_and_cost_more(belief):

@@ -18,7 +18,7 @@ def test_the_same_command_again_gives_the_same_bytes(kind: str, whole: tuple[dic
     assert crash.disturb(crash.Trial("regress record", kind, 3), *whole) == ""
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="whole commands, whose parts have quick tests")
 @pytest.mark.parametrize("command", [c for c in crash.COMMANDS if c != "regress record"])
 def test_other_commands(command: str) -> None:
     crash.warm([command])

@@ -16,7 +16,11 @@ DOCS = Path(__file__).resolve().parent.parent / "docs"
 #: Pages that fit and fly longer than the quick suite may take.
 SLOW = {"start", "choose_sensor_and_model", "solve_a_recording"}
 PAGES = [
-    pytest.param(page, id=page.stem, marks=[pytest.mark.slow] if page.stem in SLOW else [])
+    pytest.param(
+        page,
+        id=page.stem,
+        marks=[pytest.mark.slow(reason="whole commands, whose parts have quick tests")] if page.stem in SLOW else [],
+    )
     for page in sorted(page for folder in ("tutorials", "howto") for page in (DOCS / folder).glob("*.md"))
 ]
 #: A file with its name, or commands behind ``$``.

@@ -495,7 +495,7 @@ def test_gnss_levels(drive):
     np.testing.assert_allclose(fixes.pos_std_ned, 0.1)  # the receiver does not know
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 @statistical(
     FALSE_ALARM, 7, power=binomial_power(120, 0.95, FALSE_ALARM, 7, 0.5)
 )  # a variance that intervals hold half of the times

@@ -119,7 +119,7 @@ def test_its_signature_is_the_finite_difference_of_the_whole_filter(drive, tau) 
     assert (difference @ predicted) / (predicted @ predicted) == pytest.approx(1.0, abs=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 @pytest.mark.parametrize("tau", [0.2, 1.5])
 def test_smoothed_vertical_velocities_are_named_with_their_time_constant(drive, tau) -> None:
     recording = drive.record((use(0.0, 0.0, tau),))

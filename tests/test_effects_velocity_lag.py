@@ -92,7 +92,7 @@ def test_both_faults_of_time_are_settled_before_the_search(drive) -> None:
     assert [f.effect for f in alone] == ["imu_gnss_time_offset"]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_a_small_lag_is_named_by_its_signature(drive) -> None:
     report = find_gap(
         recorded(drive, 0.0, 0.15), drive.nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False

@@ -269,8 +269,9 @@ def test_recorded_pieces_do_not_overlap_and_lose_their_mean(ideal):
 def test_fixes_at_nodes_are_the_nodes(ideal):
     fixes = emulate.gnss_fixes(ideal.reference, 1.0, 0.0, 0.0, rng=np.random.default_rng(0))
     rows = np.arange(100, len(ideal.reference), 100)
-    np.testing.assert_array_equal(fixes.llh, ideal.reference.llh[rows])
-    np.testing.assert_array_equal(fixes.vel_ned, ideal.reference.vel_ned[rows])
+    # the weights of an interpolation at a node are 1 and 0 within eps, a step is 1 m
+    np.testing.assert_allclose(fixes.llh, ideal.reference.llh[rows], rtol=1e-15, atol=1e-15)
+    np.testing.assert_allclose(fixes.vel_ned, ideal.reference.vel_ned[rows], rtol=1e-14, atol=1e-13)
     assert fixes.t[0] == 1.0 and len(fixes) == 1200
 
 
@@ -285,8 +286,8 @@ def test_antenna_between_nodes_follows_the_path(helicopter, ideal):
 
 def test_interpolation_at_the_last_node(ideal):
     llh, vel, q, _ = state_at(ideal.reference, ideal.reference.t[-1:])
-    np.testing.assert_array_equal(llh[0], ideal.reference.llh[-1])
-    np.testing.assert_array_equal(vel[0], ideal.reference.vel_ned[-1])
+    np.testing.assert_allclose(llh[0], ideal.reference.llh[-1], rtol=1e-15)
+    np.testing.assert_allclose(vel[0], ideal.reference.vel_ned[-1], rtol=1e-14, atol=1e-13)
     np.testing.assert_allclose(rotation.rpy_from_quaternion(q)[0], ideal.reference.rpy[-1], atol=1e-12)
 
 

@@ -41,7 +41,9 @@ def scenario(tmp_path, **changes):
     return file
 
 
-@pytest.mark.parametrize("out", ["recording.npz", pytest.param("recording", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "out", ["recording.npz", pytest.param("recording", marks=pytest.mark.slow(reason="another case of a quick test"))]
+)
 def test_what_is_emulated_is_read_by_the_others(tmp_path, capsys, out):
     file, target = scenario(tmp_path), tmp_path / out
     assert run("emulate", file, "--out", target, "--ideal", "--json") == 0

@@ -197,7 +197,7 @@ def test_verdicts_on_consistency_say_what_is_wrong() -> None:
     assert "correlated at 5 of 5 lags" in consistency_words(coloured, "one")[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 def test_bootstrap_interval_covers() -> None:
     """95 % percentile intervals of 40 normal values: 500 repeats cover between 90 and 97 % (binomial, 1e-4,
     small-sample deficit known).

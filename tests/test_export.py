@@ -259,7 +259,7 @@ def test_a_binary_imu_that_fits_no_type_is_refused(tmp_path: Path, capsys: pytes
     assert not (tmp_path / "y.imu").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="whole commands, whose parts have quick tests")
 def test_a_run_becomes_an_overlay_of_its_designs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two designs through one outage: a folder each, the way displaced by the error, the ellipse three stated sigmas wide."""
     scenario = tmp_path / "short.yaml"

@@ -82,7 +82,7 @@ def test_compiled_and_reference_filter_agree(road, model, extras):
     np.testing.assert_allclose(a.fixes.S, b.fixes.S, rtol=1e-9, atol=1e-16)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hours of flight or many realizations")
 @pytest.mark.parametrize("model", [MODEL_15, MODEL_24, MODEL_27], ids=["15", "24", "27"])
 def test_compiled_and_reference_filter_agree_over_twenty_minutes(model):
     road = cases.drive(1200.0)
@@ -195,9 +195,10 @@ def test_the_jacobian_of_a_fix_is_its_derivative():
 
 
 def same(a, b):
-    np.testing.assert_array_equal(a.nav, b.nav)
-    np.testing.assert_array_equal(a.sigma, b.sigma)
-    np.testing.assert_array_equal(a.imu_states, b.imu_states)
+    """Two ways through the loop: what they round differently is a few eps at some of 4,000 epochs, 1e-12 of what is there."""
+    for name in ("nav", "sigma", "imu_states"):
+        one, two = getattr(a, name), getattr(b, name)
+        np.testing.assert_allclose(one, two, rtol=1e-12, atol=1e-12 * np.abs(two).max())
 
 
 def test_a_fix_of_nan_is_no_fix(road):

@@ -199,7 +199,7 @@ def test_without_a_gpu_the_way_to_one_is_named():
         assert found.name
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a GPU")
 def test_a_gpu_gives_the_numbers_of_the_compiled_loop(road):
     try:
         device = gpu.Gpu()

@@ -52,7 +52,7 @@ def fly(road, truth, beliefs, runs):
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hours of flight or many realizations")
 @pytest.mark.parametrize("model", [MODEL_15, MODEL_24, MODEL_27], ids=["15AV", "24GMWM", "27AR"])
 def test_two_hundred_matched_flights(model):
     """NEES of position, velocity, attitude and all IMU states at 20 epochs in family-wise 99 % bounds; half the noise believed fails."""
@@ -106,7 +106,7 @@ def resting(seconds, rate):
     return start, ImuRecord(np.arange(n) / rate, np.tile(w / rate, (n, 1)), np.tile(f / rate, (n, 1)), kind="increment")
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hours of flight or many realizations")
 def test_a_day_at_rest_keeps_the_covariance_positive():
     """24 h at 100 Hz: every update checks the matrix; the end is symmetric, positive definite, and the error is within it."""
     start, ideal = resting(86_400.0, 100.0)
@@ -136,7 +136,7 @@ def test_a_day_at_rest_keeps_the_covariance_positive():
     assert 0.6 < pooled < 1.5
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hours of flight or many realizations")
 def test_three_hours_of_driving_keep_the_covariance_positive():
     road = cases.drive(10_800.0)
     rng = np.random.default_rng(6)

@@ -155,7 +155,7 @@ def starts(kind, runs):
     return [v for v in out if not v.refused]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hours of flight or many realizations")
 @pytest.mark.parametrize("kind", start_cases.KINDS)
 def test_starts_are_honest(kind):
     told = starts(kind, 4)
@@ -164,7 +164,7 @@ def test_starts_are_honest(kind):
         assert told
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hours of flight or many realizations")
 def test_two_hundred_starts_are_inside_their_bounds():
     told = [v for kind in start_cases.KINDS for v in starts(kind, 40)]
     assert len(told) > 60

@@ -113,10 +113,11 @@ def test_rows_that_are_asked_for_change_no_number():
         for k in (100, 10, 1)
     )
     for more in (many, each):
-        np.testing.assert_array_equal(few.nav, more.nav[np.isin(more.t, few.t)])
-        np.testing.assert_array_equal(few.sigma, more.sigma[np.isin(more.t, few.t)])
+        at = np.isin(more.t, few.t)
+        np.testing.assert_allclose(few.nav, more.nav[at], rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(few.sigma, more.sigma[at], rtol=1e-12)
     # between two propagations the variances stay
-    np.testing.assert_array_equal(each.sigma[21:29], np.broadcast_to(each.sigma[20], each.sigma[21:29].shape))
+    np.testing.assert_allclose(each.sigma[21:29], np.broadcast_to(each.sigma[20], each.sigma[21:29].shape), rtol=1e-15)
 
 
 def test_the_last_node_is_the_filters_and_nodes_are_needed():
@@ -124,14 +125,14 @@ def test_the_last_node_is_the_filters_and_nodes_are_needed():
     data = flown(road, MODEL_15, 1, (0.0, 0.0))
     r = LooselyCoupledEKF(MODEL_15, DT, options=OPTIONS).run(*data, START_SIGMA)
     s = smooth(r)
-    np.testing.assert_array_equal(s.nav[-1], r.nav[-1])
+    np.testing.assert_allclose(s.nav[-1], r.nav[-1], rtol=1e-15, atol=1e-15)
     assert (s.sigma[3, :9] <= r.sigma[3, :9] * (1 + 1e-9)).all()
     assert s.trajectory.t[0] == 0.0
     with pytest.raises(InputError, match="kept no nodes"):
         smooth(LooselyCoupledEKF(MODEL_15, DT).run(*data, START_SIGMA))
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hours of flight or many realizations")
 def test_half_the_error_in_the_middle_of_a_long_outage():
     """130 s without fixes, 24 realizations: horizontal rms in the middle at most half of the filter's at the same epoch."""
     road, errors = cases.drive(400.0), []

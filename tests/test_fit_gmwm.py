@@ -191,7 +191,8 @@ def test_weights_follow_the_length_of_the_record_and_whether_the_model_holds():
     long = fit(x, "WN() + RW()", rate_hz=100.0)
     assert long.to_json()["weighting"] == "asymptotic"
     same = fit(x, "WN() + RW()", rate_hz=100.0, weighting="asymptotic")
-    assert [e.value for e in long.parameters] == [e.value for e in same.parameters]
+    # sums of a fit depend in their last bits on where its arrays lie in memory
+    assert [e.value for e in long.parameters] == pytest.approx([e.value for e in same.parameters], rel=1e-9)
 
 
 def test_curvature_bias_of_a_root_is_the_closed_form():

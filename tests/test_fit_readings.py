@@ -33,10 +33,21 @@ def readings(model: NoiseModel, method: str, n: int, rate: float, **options: obj
         (WALK_RAMP, "hadamard-slopes", 6000, 1.0, {}),
         (WALK_RAMP, "total-slopes", 6000, 1.0, {}),
         (WN(0.2) + RW(0.02), "psd-slopes", 6000, 1.0, {}),
-        pytest.param(HUMP, "psd-slopes", 30_000, 5.0, {}, marks=pytest.mark.slow),
-        pytest.param(HUMP, "hadamard-slopes", 30_000, 5.0, {}, marks=pytest.mark.slow),
+        pytest.param(
+            HUMP, "psd-slopes", 30_000, 5.0, {}, marks=pytest.mark.slow(reason="another case of a quick test")
+        ),
+        pytest.param(
+            HUMP, "hadamard-slopes", 30_000, 5.0, {}, marks=pytest.mark.slow(reason="another case of a quick test")
+        ),
         (NoiseModel((GM(0.3, 0.05),)), "autocorrelation", 60_000, 10.0, {}),
-        pytest.param(GM(0.3, 0.05) + WN(0.1), "autocorrelation", 60_000, 10.0, {}, marks=pytest.mark.slow),
+        pytest.param(
+            GM(0.3, 0.05) + WN(0.1),
+            "autocorrelation",
+            60_000,
+            10.0,
+            {},
+            marks=pytest.mark.slow(reason="another case of a quick test"),
+        ),
         (
             GM(0.3, 0.05) + WN(0.3),
             "autocorrelation",

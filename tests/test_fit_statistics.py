@@ -12,7 +12,7 @@ from insemu.variance import wavelet_variance
 from tests import fit_experiments as experiments
 from tests.budget import binomial, binomial_power, statistical
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 
 
 @pytest.mark.parametrize("name", experiments.COVERAGE)

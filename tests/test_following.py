@@ -73,7 +73,7 @@ def test_draws_have_the_gain():
     assert abs(np.log(step[n // 2 :].std() / step[: n // 2 - 1].std()) - 1.0) < 4.0 / np.sqrt(n / 2)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 def test_the_covariance_of_the_moments_is_that_of_the_record() -> None:
     """Against the exact one of a stationary signal (Isserlis over all pairs of coefficients): segments and the longer scales of the whole."""
     n, segments, dt = 512, 4, 1.0
@@ -101,7 +101,7 @@ def test_the_covariance_of_the_moments_is_that_of_the_record() -> None:
     assert np.linalg.eigvalsh(found / size).min() > 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 def test_intervals_hold_the_slope():
     inside, rejected = coverage(TRUTH["both follow"], SLOPE, 12)
     # below 7 of 12 (9 of 12) once in 10,000 where intervals hold 95 %
@@ -121,7 +121,7 @@ def test_a_wrong_slope_is_seen():
     assert found.result.test.p_value < 1e-6 and not found.p_values
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_effects_of_the_emulator_are_recovered(effect):
     # fewer than 6 of 12 once in 4e6 where intervals hold 95 %

@@ -36,7 +36,7 @@ def test_a_small_share_is_taken_or_refused_in_words(name: str) -> None:
     assert _run(name, 100 if TARGETS[name].share == "models" else 6, 7).count
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of broken inputs")
 @pytest.mark.parametrize("name", TARGETS)
 def test_many_are_taken_or_refused_in_words(name: str) -> None:
     assert 0 < _run(name, 1000, 11).refused < 1000  # neither is everything broken, nor nothing
@@ -94,7 +94,7 @@ def test_memory_is_counted_from_the_warm_process_on(monkeypatch: pytest.MonkeyPa
     assert [(k, "memory above 64 MB" in said) for k, said in outcome.wrong] == ([(15, True)] if grows else [])
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="whole commands, whose parts have quick tests")
 def test_commands_may_be_named_by_a_path_without_a_name() -> None:
     for path in (".", "", ".."):
         with pytest.raises(InputError):

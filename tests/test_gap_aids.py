@@ -207,7 +207,7 @@ def test_an_effect_that_is_left_out_is_not_named(folder) -> None:
     assert "odometer_scale_factor" not in {s.effect for s in found.findings}
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_a_second_look_at_the_refined_model_finds_nothing(folder) -> None:
     uses = [HIDDEN[k][0] for k in ("turned", "far")]
     uses += [{"effect": "barometer_correlated_noise", "sigma": 1.0, "tau": 60}, HIDDEN["compass"][0]]
@@ -230,6 +230,7 @@ def test_aids_are_on_the_clock_of_the_imu(folder) -> None:
     assert not looked(recording, known).findings
 
 
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_a_wheel_that_comes_late_has_no_outliers_in_hard_manoeuvres() -> None:
     """A fighter turns and speeds up at times only: 0.17 s late, its speed is far off there and nowhere else."""
     job = Job("aid", 780088, 360.0, True, vehicles=("c172p", "DHC6", "T38", "A4", "f16", "A320"))
@@ -266,14 +267,14 @@ def test_it_is_refused_before_the_search(folder) -> None:
     assert not any("effect" in words for words in said)
 
 
-def test_a_wheel_across_whose_way_nothing_moves_may_be_turned_by_much(folder) -> None:
+def test_a_wheel_across_whose_way_nothing_moves_may_be_turned_by_much(plain) -> None:
     """Its other rows are often held at zero: they say nothing of a unit, and 12 degrees is a misalignment."""
-    recording, believed = recorded(folder), nominal(folder)
+    recording, _, flown, _ = plain
     odometer = next(a for a in recording.aids if a.kind == "odometer")
     forward = odometer.values[:, 0]
     turned = np.column_stack([math.cos(0.2) * forward, -math.sin(0.2) * forward, 0.0 * forward])
-    made = replace(recording, aids=(replace(odometer, values=turned),))
-    found = {s.effect: s for s in looked(made, believed).findings}
+    made = (replace(odometer, values=turned),)
+    found = {s.effect: s for s in aids_looked_at(flown.prepared, made, (), lambda _: None).findings}
     yaw = next(v for v in found["odometer_misalignment"].parameters if v.name == "yaw")
     assert yaw.value == pytest.approx(0.2, abs=0.02)
     # and the same wheel the other way about: what should be across is 2 m/s, and zero is said
@@ -282,7 +283,7 @@ def test_a_wheel_across_whose_way_nothing_moves_may_be_turned_by_much(folder) ->
         settings=(0.0, 0.0, 0.0, 0.0, 0.0, 0.2),
         values=np.column_stack([forward, 0.0 * forward, 0.0 * forward]),
     )
-    looked(replace(recording, aids=(across,)), believed)
+    check_aids(flown.prepared, (across,), "drive.npz")
 
 
 ODD = {
@@ -334,7 +335,7 @@ def test_means_of_an_error_that_lasts_have_the_covariance_of_an_average() -> Non
     np.testing.assert_allclose(data.lasting(5.0)[:3, :3], parts, rtol=2e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 def test_intervals_of_an_error_that_lasts_hold_the_truth() -> None:
     """40 recordings of 360 s each with 8 and 40 s: 95 of a hundred; a normal interval of the logarithm held 88 at 40 s."""
     for tau in (8.0, 40.0):

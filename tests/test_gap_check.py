@@ -92,7 +92,7 @@ def test_an_outage_is_what_the_filter_without_the_fixes_says(drive: Stage) -> No
     assert linear == pytest.approx(float(np.hypot(*fixes.innovation[end, :2])), rel=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_a_right_model_holds_the_recording_and_a_wrong_one_does_not(drive: Stage) -> None:
     made = recorded(drive, ARM)
     right = check(made, truth(drive, ARM), recordings=40)

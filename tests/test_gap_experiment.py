@@ -72,7 +72,7 @@ def test_members_of_a_class_that_are_one_effect_on_two_axes_are_told_apart() -> 
     assert any(line.startswith("scale factor accel z from scale factor accel x: ") for line in experiment_said(x))
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_a_hill_parts_a_bias_from_a_scale_factor_and_the_emulator_keeps_the_promise(tmp_path: Path) -> None:
     s = stage(11, 4.0, 50.0, track="car")
     use = EffectUse.from_mapping({"effect": "scale_factor", "sensor": "accel", "value": [0.0, 0.0, 0.02]})

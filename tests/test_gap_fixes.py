@@ -98,7 +98,7 @@ def test_what_nobody_states_of_the_fixes_is_estimated_and_told() -> None:
     assert finding_action(level).startswith("multiply the stated standard deviations")
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_outliers_are_as_many_and_as_large_as_they_are() -> None:
     """A filter that follows each outlier takes the fixes after it for outliers too."""
     made, hit = with_outliers(recording(), 0.06, 3.0)
@@ -396,7 +396,7 @@ def test_a_start_beside_velocities_of_other_stamps_stands_on_a_position() -> Non
     assert math.isfinite(s.log_likelihood(factor=np.full(6, 0.3)))
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_a_level_and_a_step_are_no_colour() -> None:
     """A colour explains both together; once the step is known it is weighed against the level again."""
     step = use(effect="gnss_multipath_step", value=[0.0, 1.2, 0.0], start=120.4, duration=40.0)
@@ -603,7 +603,7 @@ def test_held_out_fixes_are_outliers_or_none() -> None:
     assert gain.value == pytest.approx((later + sum(wide) - before) / n, abs=0.1 * abs(gain.value))
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_outliers_of_the_velocities_are_named() -> None:
     """On three real drives tails of 5 to 9 standard deviations were left in the velocities, and steps and scale factors followed them."""
     made = recording(FAST)
@@ -693,7 +693,7 @@ def test_what_the_filter_states_after_a_minute_is_what_it_states_without_the_fix
     assert stated_in_outages(result) == pytest.approx(float(np.sqrt(np.mean(squares))), rel=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_nees_counts_what_a_finding_adds_to_what_is_stated() -> None:
     finding = SimpleNamespace(metres=6.0, sensor="gnss", aided_nees=math.nan)
     report = SimpleNamespace(stated_60s=3.0)
@@ -704,7 +704,7 @@ def test_nees_counts_what_a_finding_adds_to_what_is_stated() -> None:
     assert step["nees_60s"] == pytest.approx(1.0 + (step["metres_60s"] / face["stated_60s"]) ** 2)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_a_level_and_outliers_are_told_apart() -> None:
     """Outliers told at the nominal level would be every large error, and what is left would follow the errors before it: a colour."""
     made, hit = with_outliers(recording(use(effect="gnss_noise_level", factor=3.0)), 0.05, 3.0, seed=8)
@@ -716,7 +716,7 @@ def test_a_level_and_outliers_are_told_apart() -> None:
     assert share.low < hit.mean() < share.high
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_outliers_beside_a_step_are_as_many_as_they_are() -> None:
     """They were told against fixes in which the step still was, and at its edges: 0.1 of 0.033, and the step worth 48 nats of 480."""
     step = use(effect="gnss_multipath_step", value=[0.0, 1.0, 0.0], start=121.4, duration=60.0)
@@ -742,7 +742,7 @@ def test_a_level_that_is_named_later_tells_the_outliers_again() -> None:
     assert found["gnss_noise_level"].low < 2.0 < found["gnss_noise_level"].high
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_axes_of_the_fixes_have_levels_of_their_own() -> None:
     """The height's level was held within the tolerance of what is stated once the horizontal one was named."""
     report = looked(recording(use(effect="gnss_noise_level", factor=[2.5, 2.5, 0.4])))

@@ -43,11 +43,11 @@ def test_the_antenna_moves_at_its_time_and_is_put_back() -> None:
         return gnss_fixes(made.reference, 4.0, 0.0, 0.0, arm, rng=np.random.default_rng(1), effects=effects)
 
     before, after, changed = fixes(ARM), fixes(moved), fixes(ARM, it)
-    behind = before.t > 60.1
+    behind = (before.t > 60.1)[:, None]
     for name in ("llh", "vel_ned"):
         own, first, last = (getattr(g, name) for g in (changed, before, after))
-        np.testing.assert_array_equal(own[~behind], first[~behind])
-        np.testing.assert_array_equal(own[behind], last[behind])
+        # an arm that is the sum of two differs by its rounding, and the sums over it by theirs: some eps of what is added up
+        np.testing.assert_allclose(own, np.where(behind, last, first), rtol=1e-14, atol=1e-14 * np.abs(first).max())
     measured = Recording(made.imu, changed)
     back = compensated(measured, [it], trajectory=made.reference, lever_arm=ARM).gnss
     assert np.abs(earth.position_difference(before.llh, back.llh)).max() < 0.02
@@ -69,7 +69,8 @@ def test_a_change_at_the_start_is_the_lever_arm() -> None:
         some = scene.arm_starts[[5, 20]]
         windows = scene.window_answers([(ARMS + axis, float(s), math.inf) for s in some])
         np.testing.assert_allclose(scene.arm_steps(axis, some), scene.whitened(windows), atol=1e-9)
-        np.testing.assert_array_equal(scene.arm_columns[:, axis::3][:, [5, 20]], scene.arm_steps(axis, some))
+        # all starts in one product and two alone: sums of the same terms in another order
+        np.testing.assert_allclose(scene.arm_columns[:, axis::3][:, [5, 20]], scene.arm_steps(axis, some), atol=1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -120,6 +121,7 @@ def test_a_change_that_the_filter_follows_within_a_fix_is_found_at_that_fix() ->
     assert value.low < hidden.values["value"] < value.high
 
 
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_it_gives_way_to_a_lever_arm_that_explains_more_throughout() -> None:
     """A walker's, beside a temperature: named first as a change 9 s behind the start, and 13 nats better as an arm."""
     world, hidden, _ = drawn(judge.Job("two", 790045, 360.0, True))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from benchmarks.foreign.judge import Job, drawn, taken
 from insemu.gap import find_gap
 
 
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_two_effects_that_a_product_of_inputs_stands_for_are_named() -> None:
     """A scale factor and a misalignment of 210 and 69 nats: f_z^2, which is no effect, explains 4 nats more than either and leaves the rest."""
     measured, nominal = taken(*drawn(Job("two", 801022, 360.0, True, False, False))[:2])

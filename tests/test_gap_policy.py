@@ -102,7 +102,7 @@ def test_a_search_obeys_the_policy_that_it_is_given() -> None:
 REST, FLIGHT = "rest-one-04", "flight-three-01"
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 @pytest.mark.parametrize(
     ("recording", "module", "refined"),
     [

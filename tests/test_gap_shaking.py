@@ -196,7 +196,7 @@ def test_a_last_axis_is_noisy_by_itself_where_no_vibration_explains_it(size: flo
     assert (moving["gyro_x"].shaking is None) == named
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_an_antenna_swings_on_the_arm_that_was_found() -> None:
     """On 2.5 m more than is believed: noise of the velocities, 1.6 times what is stated (2,046 nats), had stood beside the arm."""
     world = sensors.draw_world(6, 200.0, True, ("quadrotor",))

@@ -212,7 +212,7 @@ def test_estimates_of_a_gauss_markov_process_bracket_the_truth() -> None:
     assert values["sigma"].unit == "rad/s"
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 def test_nominal_logs_with_wrong_levels_are_not_flagged() -> None:
     rng = np.random.default_rng(5)
     worst = -math.inf
@@ -487,7 +487,7 @@ def test_threshold_of_a_data_set_is_exceeded_as_often_as_stated() -> None:
     assert Tail(0.0, 0.5).exceeds(-1.0) == 0.25
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_a_weak_effect_must_beat_the_best_of_simulated_nominal_logs() -> None:
     rng = np.random.default_rng(3)
     axes = [log_of(WN(1e-3).simulate(6000, DT, rng), f"gyro_{a}") for a in "xyz"]

@@ -19,20 +19,15 @@ from insemu.gap.drive.signatures import columns_response
 from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.problems import drive_without
 from insemu.gap.problems.together import left
+from insemu.gap.verdict import Finding, Value
 
 
 @pytest.fixture(scope="module")
 def flight():
-    """A flight of another simulator in which a gyroscope follows the temperature late, and what is said of it."""
+    """A flight of another simulator in which a gyroscope follows the temperature late."""
     world, (hidden,), _ = drawn(judge.Job("rarer", 15, 360.0, True))
     assert hidden.effect == "temperature" and hidden.values["lag"] > 0.0
-    measured, nominal = taken(world, (hidden,))
-    return (
-        measured,
-        nominal,
-        hidden,
-        find_gap(measured, nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False),
-    )
+    return *taken(world, (hidden,)), hidden
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +67,8 @@ def test_an_axis_has_one_thermal_bias_where_it_lags(scene) -> None:
 
 
 def test_coefficient_and_lag_are_named_and_close_the_gap(flight) -> None:
-    measured, nominal, hidden, report = flight
+    measured, nominal, hidden = flight
+    report = find_gap(measured, nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False)
     (found,) = report.findings
     assert (found.effect, found.variant, found.sensor, found.axes) == (
         "temperature",
@@ -92,10 +88,10 @@ def test_coefficient_and_lag_are_named_and_close_the_gap(flight) -> None:
 
 def test_its_coefficient_is_estimated_with_all_other_numbers(flight) -> None:
     """A column without the lag would move it elsewhere."""
-    measured, nominal, hidden, report = flight
-    (found,) = report.findings
-    c1, lag = found.parameters
-    half = replace(found, parameters=(c1.scaled(0.5), replace(lag, value=hidden.values["lag"])))
+    measured, nominal, hidden = flight
+    size, late = hidden.values["value"], hidden.values["lag"]
+    own = (Value(f"c1_{hidden.axis}", 0.5 * size, 0.0, size, ""), Value("lag", late, 0.0, 2.0 * late, "s"))
+    half = Finding("temperature", LAGGED, "gyro", tuple(hidden.axis), own, 1.0, 50.0, ())
     known = replace(nominal, effects=(*nominal.effects, *uses_of(half))).parted()
     step = left(*drive_without(measured, known), (half,))
     moved, same = step.findings[0].parameters

@@ -41,7 +41,7 @@ def test_a_grade_knows_its_error(name: str) -> None:
     assert 0.3 < Case(grades()[name], 1.0, "with corrections", 1).nis() < 3.0
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hours of flight or many realizations")
 @pytest.mark.parametrize("receiver", RECEIVERS)
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("name", list(grades()))

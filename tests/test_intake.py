@@ -75,7 +75,7 @@ def test_a_wrong_declaration_is_refused_or_named_with_the_command_that_mends_it(
     assert found, card
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hours of flight or many realizations")
 def test_forty_right_recordings_are_not_refused() -> None:
     refused, odd = {}, {}
     recordings = right()

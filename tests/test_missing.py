@@ -87,7 +87,7 @@ def test_mean_and_scatter_are_those_of_the_samples_that_are_there(text: str, kin
         assert ((0.5 < np.mean(scatter, axis=0)) & (np.mean(scatter, axis=0) < 1.05)).all()
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 @pytest.mark.parametrize("kind", ["single", "stretches"])
 def test_intervals_hold_the_truth(kind: str) -> None:
     scales, n, parameters, m = coverage("GM(sigma=0.02, Tc=2 s) + WN(N=0.01)", kind, 40, 8000, 3)

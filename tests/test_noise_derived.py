@@ -245,7 +245,7 @@ def test_what_stands_for_held_values_in_a_filter_resembles_them_as_stated() -> N
     assert found.layout.names[9:] == ("gyro_x.PWC1", "gyro_x.PWC1.quadrature")
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 def test_the_moments_of_held_values_give_them_back() -> None:
     """Three records of 200 holding times: each of the parameters lies within four standard errors."""
     truth = WN(0.1) + PROCESSES["PWC"](0.05, 4.0)

@@ -271,7 +271,7 @@ def made_slowly(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return _made(tmp_path_factory.mktemp("slow_pages"), SLOW_KINDS)[0]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="every kind of page in a browser")
 def test_tables_on_the_terminal_keep_to_80_columns(pages: tuple[Path, dict[str, str]]) -> None:
     wide = []
     for command, text in pages[1].items():
@@ -281,14 +281,14 @@ def test_tables_on_the_terminal_keep_to_80_columns(pages: tuple[Path, dict[str, 
     assert wide == []
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="every kind of page in a browser")
 @pytest.mark.parametrize("width", [420, 768, 1280])
 @pytest.mark.parametrize("kind", SLOW_KINDS)
 def test_a_page_that_takes_longer_fits_too(browser: Any, made_slowly: Path, kind: str, width: int) -> None:
     look_at(browser, made_slowly, kind, width)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="every kind of page in a browser")
 @pytest.mark.parametrize("width", [420, 768, 1280])
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_page_fits_is_silent_and_answers(browser: Any, made: Path, kind: str, width: int) -> None:
@@ -327,7 +327,7 @@ def look_at(browser: Any, made: Path, kind: str, width: int) -> None:
     page.close()
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="every kind of page in a browser")
 def test_the_map_and_the_charts_over_time_share_the_cursor(browser: Any, made: Path) -> None:
     page = browser.new_page(viewport={"width": 1280, "height": 1400})
     page.goto((made / "run/index.html").as_uri())
@@ -344,7 +344,7 @@ def test_the_map_and_the_charts_over_time_share_the_cursor(browser: Any, made: P
     page.close()
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="every kind of page in a browser")
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_page_prints_on_at_most_five_sheets(browser: Any, made: Path, kind: str) -> None:
     page = browser.new_page()
@@ -354,7 +354,7 @@ def test_a_page_prints_on_at_most_five_sheets(browser: Any, made: Path, kind: st
     page.close()
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="every kind of page in a browser")
 @pytest.mark.parametrize("width", [420, 768, 1280])
 def test_the_list_of_pages_and_two_side_by_side_fit(browser: Any, made: Path, width: int) -> None:
     with server(made) as running:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import subprocess
@@ -127,7 +128,7 @@ def test_realizations_are_the_same_alone_in_parallel_and_among_more(tmp_path: Pa
     assert not np.array_equal(few.error, other.error)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="whole commands, whose parts have quick tests")
 @pytest.mark.pictures
 def test_smoother_budget_and_published_figures_come_with_a_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -320,15 +321,17 @@ def test_what_fails_after_flying_loses_no_results(
     assert (out / "outages.csv").read_text().startswith("design,outage,start_s")
 
 
-def test_eighty_columns_show_what_decides(tmp_path: Path) -> None:
+def test_eighty_columns_show_what_decides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write(tmp_path, variants={}, realizations=1, fits=None, designs={"full": SCENARIO["designs"]["full"]})
-    command = [sys.executable, "-m", "insemu", "run", str(path), "--no-pictures", "--out", str(tmp_path / "out")]
-    environment = os.environ | {"COLUMNS": "80", "PYTHONIOENCODING": "ascii"}
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-    assert done.returncode == 0, done.stderr
-    header = next(line for line in done.stdout.splitlines() if line.startswith("design"))
+    written = io.BytesIO()
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(written, encoding="ascii"))
+    assert run(str(path), "--no-pictures", "--out", str(tmp_path / "out")) == 0
+    sys.stdout.flush()
+    lines = written.getvalue().decode("ascii").splitlines()
+    header = next(line for line in lines if line.startswith("design"))
     assert header.split()[:2] == ["design", "verdict"] and "in 3 s" in header and "NEES" in header
-    assert len(header.rstrip()) <= 80 and done.stdout.isascii()
+    assert len(header.rstrip()) <= 80
 
 
 def signals(tmp_path: Path, rows: int = 50 * 130, **changes: Any) -> Path:

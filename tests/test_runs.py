@@ -30,7 +30,7 @@ def runs(spread: float, n: int = 40_000, count: int = 4, seed: int = SEED) -> li
     return out
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 def test_one_sensor_is_near_stationary_and_its_joint_fit_is_sharper() -> None:
     found = fit_runs(runs(0.0), WN() + GM(), bootstrap=39, rng=np.random.default_rng(1))
     assert found.p_value > 0.05
@@ -41,7 +41,7 @@ def test_one_sensor_is_near_stationary_and_its_joint_fit_is_sharper() -> None:
     assert all(s.log_low < s.next_low and s.next_high < s.log_high for s in found.spreads)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 def test_runs_that_differ_are_said_to_and_their_spread_is_found() -> None:
     found = fit_runs(runs(0.4, count=6), WN() + GM(), bootstrap=39, rng=np.random.default_rng(1))
     assert found.p_value == pytest.approx(1 / 40)
@@ -141,7 +141,7 @@ def test_all_scatter_of_a_log_is_taken_off_where_runs_are_many() -> None:
     assert taken[-1] < 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 def test_intervals_for_the_next_run_hold_it() -> None:
     for spread in (0.0, 0.1, 0.4):
         at = experiments.coverage(spread, 60)
@@ -149,7 +149,7 @@ def test_intervals_for_the_next_run_hold_it() -> None:
             assert 0.90 <= at[name] <= 0.99, (spread, name)  # 180 cases: 3 binomial standard deviations
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 def test_near_stationarity_is_rejected_as_often_as_said() -> None:
     assert experiments.stationarity(0.0, 60, 59) <= 0.15  # binomial, 99.9 %
     assert experiments.stationarity(0.4, 12, 59) >= 0.9

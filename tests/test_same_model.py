@@ -28,7 +28,7 @@ def p_values(first: str, second: str, draws: int, *, lost: float = 0.0) -> NDArr
     return np.array(out)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 @pytest.mark.parametrize("lost", [0.0, 0.3])
 @pytest.mark.parametrize("model", ["WN(N=0.01)", "GM(sigma=0.02, Tc=0.2 s) + WN(N=0.001)"])
 def test_false_alarms_are_as_stated(model: str, lost: float) -> None:

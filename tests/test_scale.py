@@ -76,7 +76,7 @@ def many(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return path, folder / "out"
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hours of flight or many realizations")
 def test_sums_that_were_added_on_the_way_are_those_of_all_epochs(
     many: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -192,7 +192,7 @@ def dies_once(item: tuple[str, int]) -> int:
     return value**2
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="whole commands, whose parts have quick tests")
 @pytest.mark.filterwarnings("default")  # of the cluster's own
 def test_a_lost_worker_of_a_cluster_is_survived(tmp_path: Path) -> None:
     from insemu.work import run_items

@@ -345,7 +345,7 @@ def test_an_axis_that_is_shaken_more_is_found(recording: Recording) -> None:
     assert each.about.count("likelihood") == 1 and "gyro_y white noise" in each.about
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="real recordings of hours")
 @pytest.mark.parametrize(
     ("name", "grade"),
     [("rtkexp_drive", "phone"), ("ublox_mixed_nominal", "industrial MEMS"), ("thor75_uav_flight", "UAV MEMS")],

@@ -171,7 +171,7 @@ def test_a_shared_process_is_named_in_a_log_at_rest_and_then_believed() -> None:
     assert not again.findings and again.where[0].p_value > 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 def test_intervals_of_a_joint_fit_hold_the_truth() -> None:
     inside, rejected = experiments.coverage(200)
     share = np.array(list(inside.values()))
@@ -180,21 +180,21 @@ def test_intervals_of_a_joint_fit_hold_the_truth() -> None:
     assert rejected < 0.12
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 def test_independence_is_rejected_as_often_as_said() -> None:
     size, power = experiments.independence(300)
     assert 0.015 < size < 0.09  # binomial, 99.9 %
     assert power > 0.9  # 99 of 100 when it was written
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_a_shared_process_of_20_nats_is_named() -> None:
     at = experiments.naming(60, experiments.REST_SHARE)
     assert at["named"] >= 0.87 and at["covered"] >= 0.86  # 95 % less 2.8 binomial standard deviations
     assert experiments.naming(40, 0.0, seed=1604)["found"] <= 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="real recordings of hours")
 def test_the_adis16405_is_predicted_better_with_its_shared_processes() -> None:
     for number, r, p, gain in experiments.adis():
         assert 0.7 < r < 0.85 and p < 1e-6

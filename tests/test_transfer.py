@@ -56,7 +56,7 @@ def levels() -> Levels:
     return drive_of(1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hours of flight or many realizations")
 def test_known_factors_come_back_inside_their_intervals(levels: Levels) -> None:
     found = {f.name: f for f in estimated(levels).factors}
     for sensor in ("gyro", "accel"):
@@ -91,7 +91,7 @@ def test_constants_of_the_imu_are_estimated_with_the_factors(levels: Levels, ske
         assert c.before == pytest.approx(0.01 if c.name.endswith("scale") else 0.0175)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hours of flight or many realizations")
 def test_noise_and_constants_are_tuned_together(skewed: Levels) -> None:
     """The innovations are likelier with the constants, which no factor can stand for, and the factors are the true ones."""
     found = estimated(skewed)
@@ -125,7 +125,7 @@ def test_the_search_finds_the_maximum_keeps_its_bound_and_survives_a_filter_that
         likeliest(run, np.array([3.0, 0.0]), 100.0)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hours of flight or many realizations")
 def test_outages_prefer_the_transferred_model(levels: Levels) -> None:
     by = {j.name: j for j in judge(levels)}
     assert by["transferred"].gain[0] > by["transferred"].gain[1] > 0.0

@@ -48,7 +48,9 @@ def test_the_twin_errs_as_the_filter_does(tmp_path: Path) -> None:
             assert planimetric(found - expected).max() < 0.05 * planimetric(expected).max()
 
 
-@pytest.mark.parametrize("record", [None, pytest.param("500 s", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "record", [None, pytest.param("500 s", marks=pytest.mark.slow(reason="another case of a quick test"))]
+)
 def test_draws_have_the_covariance_of_the_analysis(tmp_path: Path, record: str | None) -> None:
     experiment = made(tmp_path, truth=SCENARIO["truth"] | {"record": record})
     twin = LinearTwin(experiment)
@@ -88,7 +90,7 @@ def test_the_coarse_twin_errs_as_the_filter_does_where_the_linear_one_does_not(t
     assert off["coarse"] < 0.1 * off["linear"], off
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hours of flight or many realizations")
 @pytest.mark.parametrize("record", [None, "500 s"])
 def test_coarse_draws_are_distributed_as_linear_ones(tmp_path: Path, record: str | None) -> None:
     linear = LinearTwin(made(tmp_path, truth=SCENARIO["truth"] | {"record": record}))
@@ -100,7 +102,7 @@ def test_coarse_draws_are_distributed_as_linear_ones(tmp_path: Path, record: str
         assert np.abs(np.log(ratio)).max() < 4.4 * np.sqrt(2.0 / n + 2.0 / 4000), ratio
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 def test_a_control_variate_narrows_and_holds_the_mean_and_is_refused_without_correlation() -> None:
     rng = np.random.default_rng(7)
     held = [0, 0]

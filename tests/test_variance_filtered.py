@@ -131,7 +131,7 @@ def coverage(filter: str, model: NoiseModel, draws: int) -> tuple[np.ndarray, np
     return dof[dof > 8.0], hits[dof > 8.0] / draws
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 @pytest.mark.parametrize("filter", ["d4", "d8", "d16", "la8", "mb16", "fk14", "bl14", "battle4"])
 def test_intervals_hold_the_truth(filter: str) -> None:
     """95 % intervals hold it in 93 to 97 % of 2,000 draws at every scale of more than 8 degrees of freedom."""
@@ -140,7 +140,7 @@ def test_intervals_hold_the_truth(filter: str) -> None:
         assert share.min() >= 0.93 and share.max() <= 0.97, share
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 def test_a_model_is_fitted_to_any_filter() -> None:
     truth = WN(1e-3) + GM(2e-3, 0.2)
     x = truth.simulate(100_000, 0.01, np.random.default_rng(3))
@@ -166,7 +166,7 @@ def test_what_cannot_be_fitted_is_refused_by_name() -> None:
         fit(wavelet_variance(x, transform="dwt"), "WN()")
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 def test_a_robust_fit_has_the_efficiency_that_is_asked_for() -> None:
     rng = np.random.default_rng(4)
     x = WN(1.0).simulate(20_000, 1.0, rng)

@@ -72,7 +72,7 @@ def test_units_are_those_of_datasheets() -> None:
     np.testing.assert_allclose(accel["K"].value, accel["K"].si_value * 3600.0**1.5)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 def test_the_published_sensor_reads_back() -> None:
     """Table 4 of Quinchia et al. 2013, simulated for 7 h: N within 1 %; K and B within their 95 % intervals as often as that says."""
     published = yaml.safe_load(shared("published/quinchia2013.yaml").read_text())

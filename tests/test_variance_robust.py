@@ -58,7 +58,7 @@ def test_a_clean_log_is_read_without_bias(name: str) -> None:
     assert (np.abs(ratio - 1.0) < 0.02 + 4.0 * np.sqrt(2.0 / edof / 30)).all()
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 @pytest.mark.parametrize("name", CLEAN)
 def test_a_clean_log_is_read_within_two_percent_in_200_series(name: str) -> None:
     ratio, over_plain, edof = _mean_ratio(name, 200)
@@ -90,7 +90,12 @@ def test_a_quantized_log_with_outliers_is_read_as_one(share: float, octaves: int
 
 
 @pytest.mark.parametrize(
-    "efficiency", [pytest.param(0.5, marks=pytest.mark.slow), 0.6, pytest.param(0.9, marks=pytest.mark.slow)]
+    "efficiency",
+    [
+        pytest.param(0.5, marks=pytest.mark.slow(reason="another case of a quick test")),
+        0.6,
+        pytest.param(0.9, marks=pytest.mark.slow(reason="another case of a quick test")),
+    ],
 )
 def test_the_efficiency_is_the_one_asked_for(efficiency: float) -> None:
     c, k = biweight_constants(efficiency)

@@ -248,7 +248,7 @@ def test_default_intervals_cover_the_truth_on_a_few_series(name: str) -> None:
     assert (narrow[freedom > 8] < low).all()
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 @pytest.mark.parametrize("seed", [21, 22])
 @pytest.mark.parametrize("name", MODELS)
 @statistical(2e-5, 12, power=binomial_power(1000, 0.95, 2e-5, 12, 0.67))  # intervals half as wide
@@ -299,7 +299,7 @@ def test_octaves_go_together_as_the_exact_covariance_says() -> None:
         np.testing.assert_allclose(table[:6], r[2, 2:8], atol=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
 def test_asymptotic_covariance_against_draws() -> None:
     n, draws, rng = 1000, 100_000, np.random.default_rng(13)
     theory = model_covariance(level1_autocovariance(n, autocovariance=_gamma(WN(N=1.0))))
