@@ -32,8 +32,10 @@ select static.npz --general GM()+WN()+RW() --columns gyro_y
 watch static.npz --model WN()+GM() --columns gyro_x
 dead-reckon drive.npz
 solve drive.npz --out solved
-gap gap_static_nominal --measured static.npz --out gap_static
-gap gap_drive_nominal --measured drive.npz --out gap_drive
+init --like gap_static_nominal
+init --like gap_drive_nominal
+gap gap_static_nominal.yaml --measured static.npz --out gap_static
+gap gap_drive_nominal.yaml --measured drive.npz --out gap_drive
 compare table3_synthetic --analytic
 run table3_synthetic --linear 100
 designs
@@ -64,7 +66,6 @@ def gather(into: Path, processors: list[str]) -> int:
     into.mkdir(parents=True, exist_ok=True)
     count = 0
     for index in sorted(own_folder().glob("insemu.*.nbi")):
-        held = index.read_bytes()
         with index.open("rb") as file:
             version = pickle.load(file)
             rest = file.read()
@@ -81,7 +82,6 @@ def gather(into: Path, processors: list[str]) -> int:
         for name in kept.values():
             (into / name).write_bytes((index.parent / name).read_bytes())
         count += len(kept)
-        del held
     (into / MADE).write_text(json.dumps(made | {"processors": processors}, indent=1), encoding="utf-8")
     return count
 

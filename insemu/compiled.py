@@ -29,7 +29,7 @@ from numba.core.ccallback import CFunc
 from numba.core.registry import cpu_target
 from numba.misc.appdirs import AppDirs
 
-from insemu.progress import compiles
+from insemu.progress import say_once
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -80,6 +80,11 @@ def sources_stamp() -> str:
 
 
 @cache
+def _hash_of(file: str) -> str:
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()
+
+
+@cache
 def own_folder() -> Path:
     """Where kernels that were compiled here are kept: under ``NUMBA_CACHE_DIR``, else in the package, else among the user's caches."""
     given = os.environ.get("NUMBA_CACHE_DIR")
@@ -103,8 +108,7 @@ class _Locator(_CacheLocator):
 
     def __init__(self, function: Callable[..., Any]) -> None:
         # a wavelet variance of a process is compiled by another module: its own file counts as well
-        own = hashlib.sha256(Path(function.__code__.co_filename).read_bytes()).hexdigest()
-        self._stamp = f"{sources_stamp()} {own}"
+        self._stamp = f"{sources_stamp()} {_hash_of(function.__code__.co_filename)}"
         self._line = function.__code__.co_firstlineno
 
     def ensure_cache_path(self) -> None:
@@ -127,6 +131,11 @@ class _Impl(CompileResultCacheImpl):
         self._locator = _Locator(function)
         self._lineno = function.__code__.co_firstlineno
         self._filename_base = self.get_filename_base(f"{function.__module__}.{function.__qualname__}", sys.abiflags)
+
+
+def say_compiling() -> None:
+    """Tell, once, that something is compiled."""
+    say_once(f"Compiling kernels for {baseline()}: once, up to a minute (insemu --version says where they are kept)")
 
 
 class _Files(IndexDataCacheFile):
@@ -155,7 +164,7 @@ class _Kept(FunctionCache):
         with suppress(OSError):
             found = super().load_overload(sig, target_context)
         if found is None:
-            compiles(baseline())
+            say_compiling()
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -248,7 +257,7 @@ def compiled_beside(program: str, kernel: str) -> Iterator[None]:
     if kept(kernel) or not writable():
         yield
         return
-    compiles(baseline())
+    say_compiling()
     package = PACKAGE.parent
     path = os.pathsep.join([str(package), *filter(None, [os.environ.get("PYTHONPATH")])])
     nothing = subprocess.DEVNULL

@@ -1,18 +1,17 @@
-"""What is said before something takes long."""
+"""What the parts of insemu have to say while they work: the command line prints it, a script hears nothing unless it listens."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-#: Called with a sentence before a process compiles its first kernel; the command line prints it.
-on_compiling: list[Callable[[str], None]] = []
-_said = False
+#: Called with each sentence.
+listeners: list[Callable[[str], None]] = []
+_said: set[str] = set()
 
 
-def compiles(processor: str) -> None:
-    """Say, once, that kernels are compiled for a processor."""
-    global _said
-    if not _said:
-        for say in on_compiling:
-            _said = True
-            say(f"Compiling kernels for {processor}: once, up to a minute (insemu --version says where they are kept)")
+def say_once(text: str) -> None:
+    """Tell the listeners a sentence that this process has not told before."""
+    if listeners and text not in _said:
+        _said.add(text)
+        for listener in listeners:
+            listener(text)

@@ -117,8 +117,8 @@ def test_the_version_says_where_kernels_come_from(folders: tuple[Path, Path]) ->
 
 def test_compiling_is_said_once(folders: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
-    monkeypatch.setattr(progress, "_said", False)
-    monkeypatch.setattr(progress, "on_compiling", [said.append])
+    monkeypatch.setattr(progress, "_said", set())
+    monkeypatch.setattr(progress, "listeners", [said.append])
     hits()
     hits()
     (line,) = said

@@ -101,9 +101,9 @@ for _name, _module in COMMANDS.items():
 def main(argv: list[str] | None = None) -> None:
     """Run the command line; the entry point of the ``insemu`` script."""
     from insemu.blas import one_thread_by_default
-    from insemu.progress import on_compiling
+    from insemu.progress import listeners
 
-    on_compiling[:] = [lambda text: typer.echo(f"{text}.", err=True)]
+    listeners[:] = [lambda text: typer.echo(f"{text}.", err=True)]
     one_thread_by_default()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a console that has not all characters shows a question mark

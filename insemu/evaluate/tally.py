@@ -9,16 +9,19 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
-import xarray as xr
 from numpy.typing import NDArray
 
 from insemu.evaluate.dataset import labelled
 from insemu.evaluate.errors import within_outage
 from insemu.evaluate.sketch import quantiles, sketched
+
+if TYPE_CHECKING:
+    import xarray as xr
+
 
 Array = NDArray[np.float64]
 
