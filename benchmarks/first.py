@@ -1,7 +1,7 @@
 """First answers from a wheel in an empty environment: size on disk, CPU seconds of commands and imports, kernels that had to be compiled.
 
-``python benchmarks/first.py WHEEL`` (of ``make wheel``) makes an environment under the folder for temporary files. CPU seconds are those of
-the command and its processes on one BLAS thread, the first call and the best of three; a first call also compiles nothing but Python modules.
+``python benchmarks/first.py [WHEEL]`` (the newest of ``dist/``, which ``make wheel`` fills) makes an environment under the folder for temporary
+files. CPU seconds are those of the command and its processes on one BLAS thread, of the first call and the best of three more.
 """
 
 from __future__ import annotations
@@ -71,4 +71,5 @@ def main(wheel: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]).resolve())
+    wheels = sys.argv[1:2] or sorted((ROOT / "dist").glob("*.whl"), key=lambda p: p.stat().st_mtime)
+    main(Path(wheels[-1]).resolve()) if wheels else print("no wheel in dist/: make wheel")
