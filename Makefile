@@ -57,8 +57,10 @@ docs: $(STAMP)
 smoke: $(FLOWN)
 	out=$$(mktemp -d) && trap 'rm -rf "$$out"' EXIT && $(BIN)/python .ci/smoke.py "$$out" $(WORKERS)
 
+# With compiled kernels for this machine's baseline, or for PROCESSORS="x86-64-v3 generic"; tested, then in dist/.
+PROCESSORS ?=
 wheel: $(FLOWN)
-	.ci/wheel.sh $(BIN)/python
+	.ci/wheel.sh $(BIN)/python $(PROCESSORS)
 
 # Every link of the pages to other sites, which CI without a network cannot ask for.
 links: $(STAMP)

@@ -32,15 +32,10 @@ Arrays
 """
 
 from importlib import import_module as _import
-from pathlib import Path as _Path
 from types import ModuleType as _Module
 from typing import Any as _Any
 
-from insemu.compiled import forget_stale_kernels as _forget_stale_kernels
-
 __version__ = "0.1.0"
-
-_forget_stale_kernels(_Path(__file__).parent)
 
 #: Names at the top -> where they are: found when they are asked for, so that ``import insemu`` takes no time.
 _TOP = {

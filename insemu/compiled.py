@@ -1,53 +1,242 @@
-"""Compiled kernels are cached on disk: none outlives the kernels that it calls, and the largest are compiled by a process of their own.
+"""Compiled kernels: for a named processor, kept on disk, and none older than the kernels that it calls.
 
-numba renews a cached function when the file that defines it changes, but not when a function that was inlined into it changes in another
-file: after a pull the filter would go on with the old mechanization inside. When any file with kernels changes, all of them are
-compiled anew.
+All kernels are made for one baseline instead of the processor at hand (:func:`baseline`), so that answers are the same on each, and what one
+machine has compiled serves another. A wheel brings them compiled (:data:`SHIPPED`); what it lacks is compiled once and kept in
+:func:`own_folder`. numba renews a cached function when the file that defines it changes, but not when a function that was inlined into it
+changes in another file: here a change of any file with kernels renews all of them.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 import os
+import platform
+import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
+from importlib import import_module
 from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+from numba.core import config, sigutils
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
+from numba.core.ccallback import CFunc
+from numba.core.registry import cpu_target
+from numba.misc.appdirs import AppDirs
+
+from insemu.progress import say_once
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+#: Folder of the package, and in it that of the kernels that come with a wheel; ``made.json`` says for which numba and processors.
+PACKAGE = Path(__file__).resolve().parent
+SHIPPED = PACKAGE / "kernels"
+MADE = "made.json"
+#: What a processor must have for code of the psABI level x86-64-v3 (Haswell, Zen and later).
+V3 = ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
 
 
-def forget_stale_kernels(root: Path) -> bool:
-    """Delete the compiled kernels under a package folder if the sources of any kernel changed since the last call.
+def baseline() -> str:
+    """The processor, as LLVM names it, that kernels are compiled for: ``NUMBA_CPU_NAME``, or x86-64-v3 where this one is that, or generic."""
+    given = os.environ.get("NUMBA_CPU_NAME")
+    if given or platform.machine().lower() not in ("x86_64", "amd64"):
+        return given or "generic"
+    from llvmlite import binding
+
+    features = binding.get_host_cpu_features()
+    return "x86-64-v3" if all(features.get(name) for name in V3) else "generic"
+
+
+def _aim() -> None:
+    """Make numba compile for the baseline, unless a program has compiled with it before."""
+    if "_toplevel_target_context" not in vars(cpu_target):
+        name = baseline()
+        if os.environ.setdefault("NUMBA_CPU_NAME", name) == name:
+            os.environ.setdefault("NUMBA_CPU_FEATURES", "")
+        config.reload_config()
+
+
+_aim()
+
+
+def stamp_of(texts: Iterable[bytes]) -> str:
+    """Hash of those sources, in a fixed order, that hold kernels."""
+    found = hashlib.sha256()
+    for text in texts:
+        if re.search(rb"^\s*from [\w.]+ import .*\b(njit|cfunc|intrinsic)\b", text, re.MULTILINE):
+            found.update(hashlib.sha256(text).digest())
+    return found.hexdigest()
+
+
+@cache
+def sources_stamp() -> str:
+    """Hash of the contents of all files of the package that hold kernels."""
+    return stamp_of(path.read_bytes() for path in sorted(PACKAGE.rglob("*.py")))
+
+
+@cache
+def _hash_of(file: str) -> str:
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()
+
+
+@cache
+def own_folder() -> Path:
+    """Where kernels that were compiled here are kept: under ``NUMBA_CACHE_DIR``, else in the package, else among the user's caches."""
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    if given:
+        return Path(given) / "insemu"
+    inside = PACKAGE / "__pycache__"
+    if os.access(inside if inside.exists() else PACKAGE, os.W_OK):
+        return inside
+    return Path(AppDirs("insemu", appauthor=False).user_cache_dir)
+
+
+def writable() -> bool:
+    """Whether what is compiled here can be kept."""
+    with suppress(OSError):
+        own_folder().mkdir(parents=True, exist_ok=True)
+    return own_folder().is_dir() and os.access(own_folder(), os.W_OK)
+
+
+class _Locator(_CacheLocator):
+    """Where numba keeps a kernel, and what tells whether it is still that of the sources."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        # a wavelet variance of a process is compiled by another module: its own file counts as well
+        self._stamp = f"{sources_stamp()} {_hash_of(function.__code__.co_filename)}"
+        self._line = function.__code__.co_firstlineno
+
+    def ensure_cache_path(self) -> None:
+        own_folder().mkdir(parents=True, exist_ok=True)
+
+    def get_cache_path(self) -> str:
+        return str(own_folder())
+
+    def get_source_stamp(self) -> str:
+        return self._stamp
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+
+class _Impl(CompileResultCacheImpl):
+    """Kernels of all modules in one folder, by the module's whole name."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._locator = _Locator(function)
+        self._lineno = function.__code__.co_firstlineno
+        self._filename_base = self.get_filename_base(f"{function.__module__}.{function.__qualname__}", sys.abiflags)
+
+
+def say_compiling() -> None:
+    """Tell, once, that something is compiled."""
+    say_once(f"Compiling kernels for {baseline()}: once, up to a minute (insemu --version says where they are kept)")
+
+
+class _Files(IndexDataCacheFile):
+    """The kernels of a function: those that came with the package, then those that were compiled here."""
+
+    def __init__(self, folder: str, name: str, stamp: str) -> None:
+        super().__init__(folder, name, stamp)
+        self._shipped = IndexDataCacheFile(str(SHIPPED), name, stamp)
+
+    def load(self, key: Any) -> Any:
+        found = self._shipped.load(key)
+        return super().load(key) if found is None else found
+
+
+class _Kept(FunctionCache):
+    """Cache of one kernel."""
+
+    _impl_class = _Impl
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        self._cache_file = _Files(str(own_folder()), self._impl.filename_base, self._impl.locator.get_source_stamp())
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        found = None
+        with suppress(OSError):
+            found = super().load_overload(sig, target_context)
+        if found is None:
+            say_compiling()
+        return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        with suppress(OSError):  # no folder can be written, or the disk is full: the next process compiles again
+            super().save_overload(sig, data)
+
+
+def njit(*, cache: bool = False, **options: Any) -> Callable[[_F], _F]:
+    """Numba's ``njit`` with the caching of this module.
 
     Parameters
     ----------
-    root : Path
-        Folder of the package.
-
-    Returns
-    -------
-    bool
-        Whether the sources had changed.
+    cache : bool
+        Whether compiled code is kept.
+    **options
+        Of numba.
     """
-    stamp = root / "__pycache__" / "kernels.stamp"
-    sources = sorted(root.rglob("*.py"))
-    looks = hashlib.sha256("".join(f"{p}{p.stat().st_mtime_ns}" for p in sources).encode()).hexdigest()
+
+    def decorated(function: _F) -> _F:
+        kernel: Any = numba.njit(**options)(function)
+        if cache:
+            kernel._cache = _Kept(function)
+        return kernel  # type: ignore[no-any-return]
+
+    return decorated
+
+
+def cfunc(signature: Any) -> Callable[[Callable[..., None]], Any]:
+    """Numba's ``cfunc`` with the caching of this module; that of numba for functions outside the package."""
+
+    def decorated(function: Callable[..., None]) -> Any:
+        if not Path(function.__code__.co_filename).resolve().is_relative_to(PACKAGE):
+            return numba.cfunc(signature, cache=True)(function)
+        callback = CFunc(function, sigutils.normalize_signature(signature), locals={}, options={})
+        callback._cache = _Kept(function)
+        callback.compile()
+        return callback
+
+    return decorated
+
+
+def kept(kernel: str) -> bool:
+    """Whether a kernel was compiled for this processor and its present sources.
+
+    Parameters
+    ----------
+    kernel : str
+        Module and function, for example ``insemu.filters.kernel.run``.
+    """
+    module, _, name = kernel.rpartition(".")
+    files = getattr(import_module(module), name)._cache._cache_file
+    target = cpu_target.target_context.codegen().magic_tuple()
+    return any(key[1] == target for held in (files, files._shipped) for key in held._load_index())
+
+
+def made_for() -> dict[str, str]:
+    """What kernels of this process are valid for: Python, numba and sources."""
+    python = ".".join(platform.python_version_tuple()[:2])
+    return {"Python": python, "numba": numba.__version__, "sources": sources_stamp()}
+
+
+def described() -> str:
+    """Where the kernels come from, for ``insemu --version``."""
+    target, here = baseline(), f"compiled here for {baseline()}, kept in {own_folder()}"
     try:
-        known_looks, known_content = stamp.read_text(encoding="ascii").split()
-    except (OSError, ValueError):
-        known_looks = known_content = ""
-    if looks == known_looks:
-        return False
-    texts = [p.read_bytes() for p in sources]
-    content = hashlib.sha256(b"".join(t for t in texts if b"njit" in t)).hexdigest()
-    changed = content != known_content
-    with suppress(OSError):  # a package folder that cannot be written holds no cache either
-        if changed:
-            for cached in root.rglob("*.nb[ic]"):
-                cached.unlink(missing_ok=True)
-        stamp.parent.mkdir(exist_ok=True)
-        stamp.write_text(f"{looks} {content}", encoding="ascii")
-    return changed
+        made = json.loads((SHIPPED / MADE).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return here
+    other = [f"{what} {made[what]}" for what, now in made_for().items() if made[what] != now]
+    if target not in made["processors"]:
+        other.append(" and ".join(made["processors"]))
+    return f"{here} (those that came with it are for {', '.join(other)})" if other else f"shipped for {target}"
 
 
 _beside: subprocess.Popen[str] | None = None
@@ -65,14 +254,11 @@ def compiled_beside(program: str, kernel: str) -> Iterator[None]:
         Module and function, for example ``insemu.filters.kernel.run``: whether it is kept tells whether the program is needed.
     """
     global _beside
-    module, _, function = kernel.rpartition(".")
-    package = Path(__file__).parent.parent
-    source = package.joinpath(*module.split(".")).with_suffix(".py")
-    kept = source.parent / "__pycache__"
-    known = any(kept.glob(f"{source.stem}.{function}-*.nbi"))
-    if known or "NUMBA_CACHE_DIR" in os.environ or not os.access(kept if kept.exists() else source.parent, os.W_OK):
+    if kept(kernel) or not writable():
         yield
         return
+    say_compiling()
+    package = PACKAGE.parent
     path = os.pathsep.join([str(package), *filter(None, [os.environ.get("PYTHONPATH")])])
     nothing = subprocess.DEVNULL
     with subprocess.Popen(

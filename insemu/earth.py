@@ -30,9 +30,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from insemu.compiled import njit
 from insemu.errors import InputError, nearest
 
 Array = NDArray[np.float64]

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.linalg import toeplitz
 
 from insemu.records import ImuRecord
 
@@ -299,7 +299,7 @@ def _draw(x: Array, slow: Array, missing: NDArray[np.bool_], rng: np.random.Gene
             x[missing] = slow[missing]
             return
         # a little white noise keeps the equations solvable
-        r[0] += RIDGE * r[0] + max(-2.0 * float(np.linalg.eigvalsh(toeplitz(r))[0]), 0.0)
+        r[0] += RIDGE * r[0] + max(-2.0 * float(np.linalg.eigvalsh(scipy.linalg.toeplitz(r))[0]), 0.0)
         _draw_by(r, x, slow, fast, missing, rng)
         counted = np.ones(x.size, dtype=np.bool_)
 

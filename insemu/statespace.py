@@ -12,9 +12,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from insemu.compiled import njit
 from insemu.errors import InputError
 from insemu.noise import StateBlock
 

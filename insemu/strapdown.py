@@ -22,10 +22,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, rotation
+from insemu.compiled import njit
 from insemu.earth import E2, RATE, scalar_gravity, scalar_gravity_slopes, scalar_radii
 from insemu.errors import InputError
 from insemu.records import ImuRecord, Trajectory

@@ -1,29 +1,125 @@
-"""A cached kernel does not outlive the kernels that it calls."""
+"""Kernels: compiled for one processor, kept, those that came with the package first, none older than what it calls."""
 
 from __future__ import annotations
 
-import os
+import json
+import re
+import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from insemu.compiled import forget_stale_kernels
+import pytest
+from numba.core.registry import cpu_target
+
+from insemu import compiled, progress
 
 
-def test_kernels_go_when_a_kernel_source_changes_and_stay_otherwise(tmp_path: Path) -> None:
-    (tmp_path / "__pycache__").mkdir()
-    kernel, plain, cached = (
-        tmp_path / "kernel.py",
-        tmp_path / "plain.py",
-        tmp_path / "__pycache__" / "kernel.f-1.py311.1.nbc",
-    )
-    kernel.write_text("@njit\ndef f(): return 1\n")
-    plain.write_text("x = 1\n")
-    assert forget_stale_kernels(tmp_path)
-    cached.write_bytes(b"compiled")
-    assert not forget_stale_kernels(tmp_path)
-    plain.write_text("x = 2\n")
-    os.utime(kernel, ns=(1, 1))  # touched, not changed
-    assert not forget_stale_kernels(tmp_path)
-    assert cached.exists()
-    kernel.write_text("@njit\ndef f(): return 2\n")
-    assert forget_stale_kernels(tmp_path)
-    assert not cached.exists()
+def _twice(x: float) -> float:
+    return 2.0 * x
+
+
+@pytest.fixture
+def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+    """Folders of the kernels that were compiled here and of those that came with the package, both empty."""
+    own, shipped = tmp_path / "own", tmp_path / "shipped"
+    monkeypatch.setattr(compiled, "own_folder", lambda: own)
+    monkeypatch.setattr(compiled, "SHIPPED", shipped)
+    return own, shipped
+
+
+def hits(function: Callable[..., Any] = _twice) -> int:
+    """How often a kernel that was decorated anew found its compiled code."""
+    kernel: Any = compiled.njit(cache=True)(function)
+    assert kernel(1.5) == 3.0
+    return sum(kernel.stats.cache_hits.values())
+
+
+def test_a_kernel_is_kept_until_the_sources_of_any_kernel_change(
+    folders: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert hits() == 0
+    assert hits() == 1
+    monkeypatch.setattr(compiled, "sources_stamp", lambda: "other")
+    assert hits() == 0
+    assert hits() == 1
+
+
+def test_kernels_that_came_with_the_package_are_taken_and_nothing_is_written(folders: tuple[Path, Path]) -> None:
+    own, shipped = folders
+    hits()
+    shutil.move(own, shipped)
+    assert hits() == 1
+    assert not own.exists()
+
+
+def test_where_nothing_can_be_written_kernels_are_compiled_all_the_same(folders: tuple[Path, Path]) -> None:
+    own, _ = folders
+    own.write_text("a file, not a folder")
+    assert hits() == 0
+    assert not compiled.writable()
+
+
+def test_only_sources_with_kernels_count() -> None:
+    kernel, plain = b"from insemu.compiled import njit\n@njit()\ndef f(): return 1\n", b"x = 1\n"
+    stamp = compiled.stamp_of([kernel, plain])
+    assert compiled.stamp_of([kernel, b"x = 2\n"]) == stamp
+    assert compiled.stamp_of([kernel.replace(b"return 1", b"return 2"), plain]) != stamp
+
+
+def test_all_kernels_are_made_by_this_module() -> None:
+    others = {
+        str(path.relative_to(compiled.PACKAGE))
+        for path in compiled.PACKAGE.rglob("*.py")
+        if re.search(
+            r"^\s*from numba\b.* import .*\b(njit|jit|cfunc|vectorize)\b", path.read_text("utf-8"), re.MULTILINE
+        )
+    }
+    assert others == set()
+
+
+def test_numba_compiles_for_the_baseline() -> None:
+    assert cpu_target.target_context.codegen().magic_tuple()[1] == compiled.baseline()
+
+
+@pytest.mark.parametrize(
+    ("features", "machine", "name"),
+    [
+        (dict.fromkeys(compiled.V3, True), "x86_64", "x86-64-v3"),
+        (dict.fromkeys(compiled.V3, True) | {"avx2": False}, "AMD64", "generic"),
+        (dict.fromkeys(compiled.V3, True), "arm64", "generic"),
+    ],
+)
+def test_the_baseline_is_what_the_processor_has(
+    features: dict[str, bool], machine: str, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("NUMBA_CPU_NAME", raising=False)
+    monkeypatch.setattr("platform.machine", lambda: machine)
+    monkeypatch.setattr("llvmlite.binding.get_host_cpu_features", lambda: features)
+    assert compiled.baseline() == name
+
+
+def test_the_version_says_where_kernels_come_from(folders: tuple[Path, Path]) -> None:
+    own, shipped = folders
+    processor = compiled.baseline()
+    assert compiled.described() == f"compiled here for {processor}, kept in {own}"
+    shipped.mkdir()
+
+    def made(**other: object) -> str:
+        held = compiled.made_for() | {"processors": [processor]} | other
+        (shipped / compiled.MADE).write_text(json.dumps(held), encoding="utf-8")
+        return compiled.described()
+
+    assert made() == f"shipped for {processor}"
+    assert made(numba="0.1").endswith("(those that came with it are for numba 0.1)")
+    assert made(processors=["pdp-11"]).endswith("(those that came with it are for pdp-11)")
+
+
+def test_compiling_is_said_once(folders: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(progress, "_said", set())
+    monkeypatch.setattr(progress, "listeners", [said.append])
+    hits()
+    hits()
+    (line,) = said
+    assert line.startswith(f"Compiling kernels for {compiled.baseline()}")

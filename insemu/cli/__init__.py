@@ -57,9 +57,12 @@ app = typer.Typer(
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from insemu import __version__
+        from importlib.metadata import version
 
-        typer.echo(f"insemu {__version__}")
+        from insemu import __version__
+        from insemu.compiled import described
+
+        typer.echo(f"insemu {__version__}\nkernels: {described()}\nnumba {version('numba')}")
         raise typer.Exit
 
 
@@ -98,7 +101,9 @@ for _name, _module in COMMANDS.items():
 def main(argv: list[str] | None = None) -> None:
     """Run the command line; the entry point of the ``insemu`` script."""
     from insemu.blas import one_thread_by_default
+    from insemu.progress import listeners
 
+    listeners[:] = [lambda text: typer.echo(f"{text}.", err=True)]
     one_thread_by_default()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a console that has not all characters shows a question mark

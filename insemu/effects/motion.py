@@ -11,8 +11,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.ndimage
-import scipy.signal
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, rotation

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from insemu import earth
+from insemu.compiled import njit
 
 Array = NDArray[np.float64]
 

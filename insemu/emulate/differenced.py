@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from insemu import rotation
 from insemu.errors import InputError
@@ -78,7 +78,7 @@ class _Reference:
         record = imu.as_increments()
         integral = np.cumsum(np.hstack([record.gyro, record.accel]), axis=0)
         self.first, self.last = float(imu.t[0]), float(imu.t[-1])
-        self.integral = CubicSpline(imu.t, integral - integral[0])
+        self.integral = scipy.interpolate.CubicSpline(imu.t, integral - integral[0])
 
     def means(self, start: Array, end: Array) -> tuple[Array, Array, Array]:
         """Mean rate and force over intervals, mean angular acceleration; (n, 3) each."""

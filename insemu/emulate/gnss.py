@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.signal
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, rotation

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import BSpline, PPoly, make_interp_spline
 
 from insemu import earth, rotation
 from insemu.effects import LONGEST_ARM
@@ -59,8 +59,8 @@ class SmoothPath:
         Appears in tables.
     """
 
-    position: PPoly
-    attitude: PPoly
+    position: scipy.interpolate.PPoly
+    attitude: scipy.interpolate.PPoly
     origin: Array
     name: str = "path"
 
@@ -173,18 +173,20 @@ class SmoothPath:
         return Kinematics(llh, vel, acc, rpy, w, alpha)
 
 
-def _through(t: Array, nodes: Array, *, at_rest: bool = False) -> PPoly:
+def _through(t: Array, nodes: Array, *, at_rest: bool = False) -> scipy.interpolate.PPoly:
     """Quintic spline through nodes (n, k); with ``at_rest`` two derivatives vanish at both ends."""
     ends = [(1, np.zeros(nodes.shape[1])), (2, np.zeros(nodes.shape[1]))]
     # from the first node, so that what stays is constant to the last bit
-    spline = make_interp_spline(t, nodes - nodes[0], k=_DEGREE, bc_type=(ends, ends) if at_rest else None)
+    spline = scipy.interpolate.make_interp_spline(
+        t, nodes - nodes[0], k=_DEGREE, bc_type=(ends, ends) if at_rest else None
+    )
     made = pieces_of(spline)
     made.c[-1] += nodes[0]
     made.c[-1, 0] = nodes[0]  # rest is rest without rounding
     return made
 
 
-def pieces_of(spline: BSpline) -> PPoly:
+def pieces_of(spline: scipy.interpolate.BSpline) -> scipy.interpolate.PPoly:
     """Polynomial pieces of a B-spline (coefficients (count, k)) between its knots, without the empty ones of repeated ends."""
     degree = spline.k
     x = spline.t[degree : -degree or None]
@@ -194,7 +196,7 @@ def pieces_of(spline: BSpline) -> PPoly:
         factorial *= max(m, 1)
         # from inside every piece: Taylor at its middle, shifted to its left end below
         c[degree - m] = spline(0.5 * (x[:-1] + x[1:]), nu=m) / factorial
-    return PPoly(_shift(c, -0.5 * np.diff(x)), x)
+    return scipy.interpolate.PPoly(_shift(c, -0.5 * np.diff(x)), x)
 
 
 def _shift(c: Array, by: Array) -> Array:

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import BSpline, PPoly
-from scipy.linalg import solveh_banded
 
 from insemu import earth, rotation
 from insemu.emulate.path import SmoothPath, pieces_of
@@ -276,9 +275,9 @@ class _Basis:
         values[:] = low
         return first, values
 
-    def ppoly(self, coefficients: Array) -> PPoly:
+    def ppoly(self, coefficients: Array) -> scipy.interpolate.PPoly:
         """Piecewise polynomial of the coefficients (count, columns)."""
-        return pieces_of(BSpline(self.knots, coefficients, _DEGREE))
+        return pieces_of(scipy.interpolate.BSpline(self.knots, coefficients, _DEGREE))
 
 
 class _Smoother:
@@ -309,7 +308,7 @@ class _Smoother:
             for i in range(_DEGREE + 1):
                 np.add.at(right, first + i, weight * design[:, i] * values)
         band[0] += 1e-14 * band[0].max()
-        return np.asarray(solveh_banded(band, right, lower=True))
+        return np.asarray(scipy.linalg.solveh_banded(band, right, lower=True))
 
 
 def smooth_track(
@@ -392,7 +391,9 @@ def smooth_track(
     return SmoothedTrack(path, track, residual, weight, warnings)
 
 
-def _attitude(track: Track, kind: Vehicle, position: PPoly, spacing: float) -> PPoly:
+def _attitude(
+    track: Track, kind: Vehicle, position: scipy.interpolate.PPoly, spacing: float
+) -> scipy.interpolate.PPoly:
     """Attitude as a smooth spline: the recorded one, or the one that the motion asks for."""
     start, end = float(position.x[0]), float(position.x[-1])
     if track.rpy is not None:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import chdtr, chdtri, gammaincinv, ndtri
 
 from insemu.augment import Augmentation
 from insemu.errors import InputError
@@ -234,7 +234,7 @@ def block_nees(errors: Array, covariance: Array, sensors: SensorErrors | None = 
 
 def chi_square_bounds(tail: float, dof: int) -> tuple[float, float]:
     """Values of a chi-square variable with this probability below the first and above the second."""
-    return 2.0 * float(gammaincinv(0.5 * dof, tail)), float(chdtri(dof, tail))
+    return 2.0 * float(scipy.special.gammaincinv(0.5 * dof, tail)), float(scipy.special.chdtri(dof, tail))
 
 
 def nees_test(
@@ -370,7 +370,7 @@ def whiteness_verdicts(sums: ArrayLike, counts: ArrayLike, *, confidence: float 
         Of all lags together.
     """
     total, number = np.asarray(sums, dtype=np.float64), np.asarray(counts, dtype=np.float64)
-    z = -ndtri(0.5 * (1.0 - confidence) / total.size)
+    z = -scipy.special.ndtri(0.5 * (1.0 - confidence) / total.size)
     out = []
     for lag, (s, n) in enumerate(zip(total, number, strict=True), start=1):
         if n == 0:
@@ -406,7 +406,7 @@ def coverage_test(
             f"errors have shape {e.shape} and sigma {s.shape}, expected (runs, epochs, {len(names)}) both, of two runs or more"
         )
     runs, epochs, _ = e.shape
-    expected = float(chdtr(1, factor**2))
+    expected = float(scipy.special.chdtr(1, factor**2))
     tail = 0.5 * (1.0 - confidence) / len(names)
     share = (np.abs(e) <= factor * s).mean(axis=(0, 1))
     inner = np.abs(e) <= np.sqrt(np.mean(e**2, axis=(0, 1)))

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from insemu.evaluate.coarse import CoarseTwin
 from insemu.evaluate.results import Results
@@ -107,7 +107,7 @@ def controlled(full: Array, paired: Array, many: Array, by: str = "linear") -> C
     n = full.size
     rng = np.random.default_rng(20140701)
     picks = rng.integers(0, n, (RESAMPLES, n))
-    half = stdtrit(n - 1, 0.975) * full.std(ddof=1) / np.sqrt(n)
+    half = scipy.special.stdtrit(n - 1, 0.975) * full.std(ddof=1) / np.sqrt(n)
     mean = float(full.mean())
     plain = Figure(mean, mean - half, mean + half)
     resampled = np.quantile(full[picks], LEVEL, axis=1)
@@ -123,7 +123,7 @@ def controlled(full: Array, paired: Array, many: Array, by: str = "linear") -> C
     off = float(many.mean() - paired.mean())
     variance = scatter * (1.0 / n + off**2 / float(((paired - paired.mean()) ** 2).sum()))
     variance += slope**2 * float(many.var(ddof=1)) / many.size
-    centre, half_ = float(offset + slope * many.mean()), stdtrit(n - 2, 0.975) * np.sqrt(variance)
+    centre, half_ = float(offset + slope * many.mean()), scipy.special.stdtrit(n - 2, 0.975) * np.sqrt(variance)
     points = np.quantile(many, (np.arange(POINTS) + 0.5) / POINTS)
 
     def quantile(x: Array, y: Array) -> float:

@@ -5,15 +5,18 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from math import prod
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.evaluate.consistency import BLOCKS
 from insemu.evaluate.errors import COMPONENT_UNITS, COMPONENTS
 from insemu.records import AXES
+
+if TYPE_CHECKING:
+    import xarray as xr
+
 
 #: Name to dimensions (of one design in one realization), unit and meaning. Angles rad, errors estimate minus truth.
 VARIABLES: Mapping[str, tuple[tuple[str, ...], str, str]] = {
@@ -79,6 +82,8 @@ def labelled(
     variables : mapping
         Name to dimensions behind the leading ones, unit and meaning.
     """
+    import xarray as xr
+
     said = {name: variables[name] for name in arrays}
     made = {
         name: ((*leading, *dims), np.asarray(arrays[name]), {"long_name": meaning, "units": unit})
@@ -119,6 +124,8 @@ def of_designs(flown: Mapping[str, Mapping[str, Any]], t: NDArray[np.float64]) -
 
 def of_realizations(items: Mapping[int, xr.Dataset]) -> xr.Dataset:
     """Realizations by their number, ``design`` first; what never differs between them stands once."""
+    import xarray as xr
+
     once = ["states", "state_name"]
     data = xr.concat([item.drop_vars(once) for item in items.values()], dim="realization", join="exact")
     first = next(iter(items.values()))

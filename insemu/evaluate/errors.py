@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr, ndtri
 
 from insemu import earth, rotation
 from insemu.errors import InputError
@@ -109,7 +109,7 @@ def bootstrap_mean(values: ArrayLike) -> MeanInterval:
     if values.size < 2:
         return MeanInterval(mean, None, None)
     if values.size > RESAMPLED:
-        half = -ndtri(0.025) * float(values.std(ddof=1)) / np.sqrt(values.size)
+        half = -scipy.special.ndtri(0.025) * float(values.std(ddof=1)) / np.sqrt(values.size)
         return MeanInterval(mean, float(mean - half), float(mean + half))
     low, high = np.quantile(resampled_means(values[:, None])[:, 0], [0.025, 0.975])
     return MeanInterval(mean, float(low), float(high))
@@ -173,8 +173,8 @@ def paired_ratio(one: ArrayLike, other: ArrayLike) -> PairedComparison:
         return PairedComparison(ratio, None, None, None)
     if a.size > RESAMPLED:
         error = float((a - ratio * b).std(ddof=1)) / np.sqrt(a.size) / float(b.mean())
-        half = float(-ndtri(0.025)) * error
-        tail = float(ndtr(-abs(ratio - 1.0) / error)) if error > 0 else 0.5 * (ratio == 1.0)
+        half = float(-scipy.special.ndtri(0.025)) * error
+        tail = float(scipy.special.ndtr(-abs(ratio - 1.0) / error)) if error > 0 else 0.5 * (ratio == 1.0)
     else:
         ratios = np.divide(*resampled_means(np.stack([a, b], axis=1)).T)
         low, high = np.quantile(ratios, [0.025, 0.975])

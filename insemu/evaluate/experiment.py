@@ -10,10 +10,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from insemu.denoise import delayed_approximation, denoise
@@ -44,6 +43,10 @@ from insemu.noise import ARMA, CommonDraws, NoiseModel, NotStationary, axis_unit
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series, Trajectory
 from insemu.scenario import AxisSource, Scenario, code_version, digest
 from insemu.strapdown import NavState, trajectory_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
 
 Array = NDArray[np.float64]
 

@@ -13,13 +13,16 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 import insemu
 from insemu.scenario import code_version
+
+if TYPE_CHECKING:
+    import xarray as xr
+
 
 #: The file that RO-Crate prescribes.
 CRATE = "ro-crate-metadata.json"

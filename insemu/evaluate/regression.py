@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit
 
 from insemu.errors import InputError
 from insemu.evaluate.experiment import Experiment
@@ -187,10 +187,11 @@ def check(results: Results, baseline: Baseline, *, false_alarm: float = 0.01) ->
                 dof = float((va + vb) ** 2 / max(va**2 / (after.size - 1) + vb**2 / (before.size - 1), 1e-300)) or 1.0
             # a t distribution with few degrees of freedom, or a spread near zero: never less than the floor's own scale
             error = max(error, 1e-12 * abs(float(before.mean())), 1e-300)
-            threshold = -float(stdtrit(max(dof, 1.0), 0.5 * false_alarm / count))
+            threshold = -float(scipy.special.stdtrit(max(dof, 1.0), 0.5 * false_alarm / count))
             gap = float(after.mean() - before.mean())
             detectable = max(
-                (threshold + float(stdtrit(max(dof, 1.0), POWER))) * error, FLOOR * abs(float(before.mean()))
+                (threshold + float(scipy.special.stdtrit(max(dof, 1.0), POWER))) * error,
+                FLOOR * abs(float(before.mean())),
             )
             out.append(
                 Change(design, name, float(before.mean()), float(after.mean()), gap / error, threshold, detectable)
@@ -324,7 +325,9 @@ def smallest_detectable(
         for name, before in held.items():
             n = before.size
             error = float(before.std(ddof=1)) * math.sqrt(2.0 / n)
-            visible = (float(ndtri(POWER)) - float(stdtrit(2 * n - 2, 0.5 * false_alarm / count))) * error
+            visible = (
+                float(scipy.special.ndtri(POWER)) - float(scipy.special.stdtrit(2 * n - 2, 0.5 * false_alarm / count))
+            ) * error
             visible = max(visible, FLOOR * abs(float(before.mean())))
             shift = abs(float((moved[name] - plain[name]).mean()))
             if shift > 1e-9 * abs(float(before.mean())):

@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.evaluate.consistency import BLOCKS, Verdict, nees_verdicts, nis_verdict, whiteness_verdicts
@@ -28,6 +27,7 @@ from insemu.shown import Shown, few, finite
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
 
 Array = NDArray[np.float64]
 
@@ -133,6 +133,8 @@ class Results(Shown):
 
     def with_data(self, arrays: Mapping[str, ArrayLike], designs: Mapping[str, DesignInfo] | None = None) -> Results:
         """The results with some variables in place of, or besides, their own; ``designs`` where their number changes."""
+        import xarray as xr
+
         chosen = self.designs if designs is None else designs
         kept = {} if designs is not None else {str(name): self.data[name] for name in self.data.data_vars}
         given = labelled(arrays, ("design", "realization"), {"design": list(chosen), "time": self.t})
@@ -212,6 +214,8 @@ class Results(Shown):
 
     def to_dataset(self) -> xr.Dataset:
         """The labelled arrays with the reference, for NetCDF and for further work with xarray."""
+        import xarray as xr
+
         reference = xr.DataArray(self.truth.llh, dims=("time", "llh"), attrs={"units": "rad, rad, m"})
         data = self.data.assign(reference_llh=reference)
         if "observability" in data:  # hardly differs between realizations

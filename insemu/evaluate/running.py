@@ -11,10 +11,9 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from insemu.augment import NAVIGATION
 from insemu.compiled import wait_for_kernels
@@ -25,6 +24,10 @@ from insemu.evaluate.results import DesignInfo, Results
 from insemu.evaluate.tally import BASE, Ladder, Tally, pieces, tally
 from insemu.noise import axis_unit
 from insemu.work import Files, stream_items
+
+if TYPE_CHECKING:
+    import xarray as xr
+
 
 Progress = Callable[[int, int, str], None]
 

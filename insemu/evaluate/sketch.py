@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy import sparse
 
 Array = NDArray[np.float64]
 
@@ -26,15 +26,15 @@ _BOUNDS = SMALLEST * _GROWTH ** np.arange(_BUCKETS)
 _VALUES = np.append(2.0 * _BOUNDS / (_GROWTH + 1.0), np.nan)
 
 
-def sketched(values: ArrayLike) -> sparse.csr_array:
+def sketched(values: ArrayLike) -> scipy.sparse.csr_array:
     """One value (n,) each, not negative, as a sketch of n rows."""
     v = np.asarray(values, dtype=np.float64).ravel()
     bucket = np.where(np.isfinite(v), np.searchsorted(_BOUNDS[:-1], v), _BUCKETS).astype(np.int32)
     counts = np.ones(v.size, dtype=np.uint32)
-    return sparse.csr_array((counts, bucket, np.arange(v.size + 1, dtype=np.int32)), shape=(v.size, _BUCKETS + 1))
+    return scipy.sparse.csr_array((counts, bucket, np.arange(v.size + 1, dtype=np.int32)), shape=(v.size, _BUCKETS + 1))
 
 
-def quantiles(sketch: sparse.csr_array, levels: Sequence[float]) -> Array:
+def quantiles(sketch: scipy.sparse.csr_array, levels: Sequence[float]) -> Array:
     """Quantiles of every row.
 
     Parameters

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri
+import scipy  # whose parts are imported when they are used
 
 from insemu import yamlfile
 from insemu.errors import InputError
@@ -360,7 +360,10 @@ def _linear_rows(experiment: Experiment, realizations: int, step: Progress) -> l
     for name, errors in told.errors.items():
         ends = np.hypot(errors[..., 0], errors[..., 1])
         pooled = ends.mean(axis=1)
-        mean, half = float(pooled.mean()), float(-ndtri(0.025) * pooled.std(ddof=1) / np.sqrt(pooled.size))
+        mean, half = (
+            float(pooled.mean()),
+            float(-scipy.special.ndtri(0.025) * pooled.std(ddof=1) / np.sqrt(pooled.size)),
+        )
         stated = float(np.sqrt((twin.stated[name] ** 2).mean()))
         factor = float(np.sqrt((ends**2).mean())) / stated
         knows = "yes" if 1.0 / MATERIAL <= factor <= MATERIAL else "optimistic" if factor > 1.0 else "pessimistic"

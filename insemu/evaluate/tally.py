@@ -9,16 +9,19 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy import sparse
 
 from insemu.evaluate.dataset import labelled
 from insemu.evaluate.errors import within_outage
 from insemu.evaluate.sketch import quantiles, sketched
+
+if TYPE_CHECKING:
+    import xarray as xr
+
 
 Array = NDArray[np.float64]
 
@@ -91,7 +94,7 @@ class Tally:
     count: int
     runs: Mapping[str, Array]
     sums: Mapping[str, Array]
-    sketch: sparse.csr_array
+    sketch: scipy.sparse.csr_array
 
     def to_bytes(self) -> bytes:
         """As it is kept."""
@@ -109,7 +112,9 @@ class Tally:
             held = {name: archive[name] for name in archive.files}
         count, *shape = (int(n) for n in held["shape"])
         parts = {k: {n.removeprefix(k): v for n, v in held.items() if n.startswith(k)} for k in ("runs ", "sums ")}
-        sketch = sparse.csr_array(tuple(held[f"sketch {k}"] for k in ("data", "indices", "indptr")), shape=tuple(shape))
+        sketch = scipy.sparse.csr_array(
+            tuple(held[f"sketch {k}"] for k in ("data", "indices", "indptr")), shape=tuple(shape)
+        )
         return cls(count, parts["runs "], parts["sums "], sketch)
 
     def mean(self, name: str, design: int) -> Array:
@@ -219,7 +224,7 @@ class _Open:
     def __init__(self, begin: int) -> None:
         self.begin, self.count = begin, 0
         self.sums: Mapping[str, Array] = {}
-        self.sketch: sparse.csr_array | None = None
+        self.sketch: scipy.sparse.csr_array | None = None
         self.runs: list[dict[str, Array]] = []
 
     def add(self, node: Tally) -> None:

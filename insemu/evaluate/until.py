@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from insemu.errors import InputError, nearest
 from insemu.evaluate.results import Results, runs_of
@@ -111,7 +111,7 @@ class Goal:
         else:
             value = float(values[0].mean() / values[1].mean())
             left = (values[0] - value * values[1]) / values[1].mean()
-        half = float(stdtrit(n - 1, 1.0 - 0.5 * level) * left.std(ddof=1) / math.sqrt(n))
+        half = float(scipy.special.stdtrit(n - 1, 1.0 - 0.5 * level) * left.std(ddof=1) / math.sqrt(n))
         return Look(n, value, value - half, value + half, half <= self.within * abs(value))
 
     def _pooled(self, results: Results, design: str) -> NDArray[np.float64]:

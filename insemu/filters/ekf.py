@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import chdtri
 
 from insemu import earth
 from insemu.augment import Augmentation, Belief, StateLayout, augment
@@ -471,7 +471,7 @@ class LooselyCoupledEKF:
         """Largest accepted normalised innovation squared by the number of components, (rows + 1,)."""
         out = np.full(rows + 1, np.inf)
         if self.options.gate is not None:
-            out[1:] = chdtri(np.arange(1, rows + 1), self.options.gate)
+            out[1:] = scipy.special.chdtri(np.arange(1, rows + 1), self.options.gate)
         return out
 
     def installation(self) -> tuple[int, int]:

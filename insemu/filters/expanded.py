@@ -22,9 +22,9 @@ Loops over columns run from 0 over views: only then does the compiler know that 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from insemu.compiled import njit
 from insemu.rotation import scalar_dcm
 
 Array = NDArray[np.float64]

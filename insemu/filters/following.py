@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from insemu import covariates
 from insemu.augment import Augmentation
+from insemu.compiled import njit
 from insemu.noise import LARGEST_LOG_GAIN, LARGEST_LOG_TIME
 from insemu.records import ImuRecord
 

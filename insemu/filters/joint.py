@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from insemu import earth
 from insemu.augment import Augmentation
+from insemu.compiled import njit
 from insemu.filters.ekf import LooselyCoupledEKF, pack
 from insemu.filters.expanded import FIRST, LD, MAP_SIZE, fill_map, gather, middle, predict, scatter
 from insemu.filters.measurements import fill_fix

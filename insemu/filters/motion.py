@@ -17,10 +17,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, rotation
+from insemu.compiled import njit
 from insemu.errors import InputError
 from insemu.filters.alignment import Alignment, level, sigma_of_fixes
 from insemu.filters.ekf import LooselyCoupledEKF

@@ -139,7 +139,8 @@ def user_filter(name: str) -> type[NavigationFilter]:
     try:
         found: type[NavigationFilter] = entry.load()
     except (ImportError, AttributeError) as error:
-        raise InputError(f"the filter '{name}' ({entry.value}) cannot be imported: {error}") from None
+        extra = f": pip install 'insemu[{name}]'" if name in OWN else ""
+        raise InputError(f"the filter '{name}' ({entry.value}) cannot be imported: {error}{extra}") from None
     if not callable(getattr(found, "run", None)):
         raise InputError(f"the filter '{name}' ({entry.value}) has no method run(imu, gnss, initial, initial_sigma)")
     return found

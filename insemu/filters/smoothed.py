@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from insemu import rotation
+from insemu.compiled import njit
 from insemu.earth import position_difference
 from insemu.errors import InputError
 from insemu.filters.results import FilterResult, Nodes

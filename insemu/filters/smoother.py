@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from insemu.augment import StateLayout
+from insemu.compiled import njit
 from insemu.errors import InputError
 from insemu.filters.results import FilterResult
 from insemu.records import Trajectory

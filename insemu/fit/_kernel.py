@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from insemu.compiled import njit
 from insemu.noise.compiled import call, copy, multiply
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import toeplitz
 
 from insemu.denoise import Rule, denoise
 from insemu.errors import InputError
@@ -206,7 +206,7 @@ def _covariance(a: Array, sigma2: float, n: int, single: bool) -> Array:
     out = np.zeros((p + 1, p + 1))
     try:
         gamma = process.autocovariance(np.arange(p), 1.0)
-        out[:p, :p] = sigma2 * np.linalg.inv(toeplitz(gamma)) / n
+        out[:p, :p] = sigma2 * np.linalg.inv(scipy.linalg.toeplitz(gamma)) / n
     except (np.linalg.LinAlgError, InputError):
         out[:p, :p] = np.nan
     out[p, p] = 2.0 * sigma2**2 / n

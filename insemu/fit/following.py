@@ -14,8 +14,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy import special
 
 from insemu.fit.coordinates import Coordinates
 from insemu.fit.covariance import model_covariance
@@ -164,7 +164,7 @@ def _test(
     _, statistic = minimised(lambda at: expected(at)[rows], problem.value[rows], W, x, limits)
     short = np.tile(problem.curves[0].tau_s[problem.keep], len(problem.curves))
     tau = np.append(short, problem.whole.tau_s[problem.rest])
-    return GoodnessOfFit(statistic, dof, float(special.chdtrc(dof, statistic)), np.unique(tau[rows]))
+    return GoodnessOfFit(statistic, dof, float(scipy.special.chdtrc(dof, statistic)), np.unique(tau[rows]))
 
 
 def _answer(
@@ -183,7 +183,7 @@ def _answer(
     slope = np.append(tied.slopes(x[:count]), 1.0 / problem.widths())
     covariance = slope[:, None] * C * slope[None, :]
     own = estimates(model, tied.free, covariance[:count, :count], series.unit, confidence)
-    z = float(special.ndtri(0.5 + 0.5 * confidence))
+    z = float(scipy.special.ndtri(0.5 + 0.5 * confidence))
     found: list[Estimate] = []
     p_values: dict[str, float] = {}
     for k, (index, p) in enumerate(model.indexed()):
@@ -195,7 +195,7 @@ def _answer(
             at = count + problem.following.index(k)
             error = math.sqrt(covariance[at, at]) if covariance[at, at] > 0 else math.nan
             p_values[process_label(p.symbol, index)] = (
-                float(2.0 * special.ndtr(-abs(b) / error)) if error > 0 else math.nan
+                float(2.0 * scipy.special.ndtr(-abs(b) / error)) if error > 0 else math.nan
             )
         found.append(
             Estimate(

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy import special
 
 from insemu.errors import InputError
 from insemu.fit.covariance import covariance_of_curve
@@ -514,7 +514,7 @@ def goodness_of_fit(
     return GoodnessOfFit(
         best.objective,
         dof,
-        float(special.chdtrc(dof, best.objective)),
+        float(scipy.special.chdtrc(dof, best.objective)),
         np.asarray(scale[enough] * dt, dtype=np.float64),
     )
 

@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy import optimize
 
 from insemu.errors import InputError
 from insemu.fit.coordinates import Coordinates
@@ -114,7 +114,7 @@ def match_curve(
     def jacobian(theta: Array) -> Array:
         return np.asarray(-derivative(theta) / width[:, None])
 
-    found = optimize.least_squares(residual, theta0, jac=jacobian, x_scale="jac", max_nfev=60)
+    found = scipy.optimize.least_squares(residual, theta0, jac=jacobian, x_scale="jac", max_nfev=60)
     drawn = curves(found.x)
     D = derivative(found.x)
     # scatter of a curve under the model: from more draws than the match needs

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg, optimize
 
 from insemu.errors import InputError
 from insemu.fit import _integrated_kernel
@@ -57,8 +57,8 @@ def continuous_transition(F: Array, GQG: Array, interval: float) -> tuple[Array,
     """
     n = F.shape[0]
     big = np.block([[-F, GQG], [np.zeros((n, n)), F.T]]) * interval
-    balanced, (scale, permutation) = linalg.matrix_balance(big, separate=True)
-    e = linalg.expm(balanced)
+    balanced, (scale, permutation) = scipy.linalg.matrix_balance(big, separate=True)
+    e = scipy.linalg.expm(balanced)
     undone = np.empty_like(e)
     rows = np.argsort(permutation)
     undone = (scale[:, None] * e / scale[None, :])[np.ix_(rows, rows)]
@@ -354,14 +354,14 @@ def _lowest(cost: Callable[[Array], float], values: Array) -> tuple[Array, bool]
     """Where the cost is lowest near a start, and whether the search ended by itself: quasi-Newton, polished without derivatives."""
     if not values.size:
         return values, True
-    found = optimize.minimize(
+    found = scipy.optimize.minimize(
         cost,
         values,
         method="L-BFGS-B",
         bounds=list(zip(values - 12.0, values + 12.0, strict=True)),
         options={"maxiter": 200, "ftol": 1e-11, "eps": 1e-5},
     )
-    polished = optimize.minimize(
+    polished = scipy.optimize.minimize(
         cost, found.x, method="Nelder-Mead",
         options={"maxiter": 80 * values.size, "xatol": 1e-4, "fatol": 1e-5, "initial_simplex": _simplex(found.x)},
     )  # fmt: skip

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy import optimize
 
 Array = NDArray[np.float64]
 Moments = Callable[[Array], Array]
@@ -38,7 +38,7 @@ def minimised(
         Least and largest coordinates.
     """
     low, high = bounds
-    found = optimize.least_squares(
+    found = scipy.optimize.least_squares(
         lambda x: W @ (expected(x) - value),
         np.clip(start, low + 1e-9, high - 1e-9),
         jac=lambda x: W @ slopes(expected, x),

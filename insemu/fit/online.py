@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy import special
 
 from insemu.errors import InputError
 from insemu.fit.gmwm import fit_curve
@@ -239,6 +239,6 @@ class OnlineFit:
         J = self.levels
         f = now.value[:J] / before.value[:J]
         one, other = now.edof[:J], before.edof[:J]
-        p = 2.0 * np.minimum(special.fdtr(one, other, f), special.fdtrc(one, other, f))
+        p = 2.0 * np.minimum(scipy.special.fdtr(one, other, f), scipy.special.fdtrc(one, other, f))
         at = int(np.argmin(p))
         return min(1.0, float(p[at]) * J), at

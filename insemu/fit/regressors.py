@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy import linalg
-from scipy.special import stdtr, stdtrit
 
 from insemu.errors import InputError
 from insemu.fit.gmwm import fit_curve
@@ -159,7 +158,7 @@ def fit_regressed(
     y = series.values - series.values.mean()
     blocks = _Blocks.of(y, X, series.rate_hz)
     options = {"tau_from": tau_from, "tau_to": tau_to, "confidence": confidence, "weighting": "asymptotic"}
-    b, C = linalg.lstsq(X, y)[0], np.zeros((len(names),) * 2)
+    b, C = scipy.linalg.lstsq(X, y)[0], np.zeros((len(names),) * 2)
     curve = wavelet_variance(y - X @ b, series.rate_hz)
     found = fit_curve(curve, model, unit=series.unit, name=series.name, **options)  # type: ignore[arg-type]
     taken, turn = np.zeros(curve.value.size), 0
@@ -187,8 +186,8 @@ def fit_regressed(
 
 
 def _coefficient(name: str, value: float, error: float, dof: float, confidence: float) -> Coefficient:
-    half = float(stdtrit(dof, 0.5 + 0.5 * confidence)) * error
-    p = 2.0 * float(stdtr(dof, -abs(value) / error))
+    half = float(scipy.special.stdtrit(dof, 0.5 + 0.5 * confidence)) * error
+    p = 2.0 * float(scipy.special.stdtr(dof, -abs(value) / error))
     return Coefficient(name, value, error, value - half, value + half, dof, p)
 
 
@@ -217,7 +216,7 @@ def _columns(series: Series, regressors: Mapping[str, Array]) -> tuple[Array, Ar
     X = np.column_stack(columns)
     for k, name in enumerate(regressors):
         others = np.delete(X, k, axis=1)
-        left = X[:, k] - (others @ linalg.lstsq(others, X[:, k])[0] if others.shape[1] else 0.0)
+        left = X[:, k] - (others @ scipy.linalg.lstsq(others, X[:, k])[0] if others.shape[1] else 0.0)
         if float(np.mean(left * left)) < LEAST_LEFT:
             raise InputError(
                 f"the regressor '{name}' is made up of the others ({', '.join(n for n in regressors if n != name)}); leave one out",
@@ -248,14 +247,14 @@ class _Blocks:
         """Coefficients of generalised least squares and their covariance under a model."""
         row = model.difference_covariance(self.m, self.dt, self.y.size)
         try:
-            L = linalg.cholesky(linalg.toeplitz(row), lower=True)
-        except linalg.LinAlgError:
+            L = scipy.linalg.cholesky(scipy.linalg.toeplitz(row), lower=True)
+        except scipy.linalg.LinAlgError:
             raise InputError(
                 f"the covariance of the model {model} over {self.y.size} differences is singular; add white noise to the model"
             ) from None
-        both = linalg.solve_triangular(L, np.column_stack([self.y, self.X]), lower=True)
-        Q, R = linalg.qr(both[:, 1:], mode="economic")
-        root = linalg.solve_triangular(R, np.eye(R.shape[0]))
+        both = scipy.linalg.solve_triangular(L, np.column_stack([self.y, self.X]), lower=True)
+        Q, R = scipy.linalg.qr(both[:, 1:], mode="economic")
+        root = scipy.linalg.solve_triangular(R, np.eye(R.shape[0]))
         return np.asarray(root @ (Q.T @ both[:, 0])), np.asarray(root @ root.T)
 
 

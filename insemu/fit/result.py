@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 import yaml
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from insemu import units
 from insemu.errors import InputError
@@ -315,7 +315,7 @@ def estimates(
     confidence : float
         Of the intervals.
     """
-    z = float(ndtri(0.5 + 0.5 * confidence))
+    z = float(scipy.special.ndtri(0.5 + 0.5 * confidence))
     place = {key: i for i, key in enumerate(free)}
     out = []
     for k, (index, p) in enumerate(model.indexed()):

@@ -14,8 +14,8 @@ from functools import cache
 from itertools import combinations
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy import linalg, optimize, special
 
 from insemu.errors import InputError
 from insemu.fit.covariance import covariance_of_curve
@@ -30,7 +30,7 @@ from insemu.variance import WaveletVariance, wavelet_variance
 Array = NDArray[np.float64]
 
 #: Standard normal deviate of 95 % intervals.
-NORMAL = float(special.ndtri(0.975))
+NORMAL = 1.959963984540054
 #: Cells of the quadrature over a chi-square: coverage to 0.1 %.
 CELLS = 1000
 #: Spread over the scatter of a log beyond which the scatter no longer matters.
@@ -172,7 +172,7 @@ class _Runs:
 
     def minimum(self, roots: Sequence[Array], starts: Array) -> Solution:
         """The nearest common model from the best of some starts."""
-        W = np.ascontiguousarray(linalg.block_diag(*roots))
+        W = np.ascontiguousarray(scipy.linalg.block_diag(*roots))
         return search(self.structure, self.scale, self.value, W, self.longest, starts)
 
     def each(self, roots: Sequence[Array], start: Array) -> list[Solution]:
@@ -286,7 +286,7 @@ def _joint(problem: _Runs, first: Series, found: _Settled) -> FitResult:
     """All runs as one."""
     structure, best, V = problem.structure, found.best, found.V
     model = structure.specified(best.coefficients, best.shapes)
-    W, whole = linalg.block_diag(*(root_of_inverse(v) for v in V)), linalg.block_diag(*V)
+    W, whole = scipy.linalg.block_diag(*(root_of_inverse(v) for v in V)), scipy.linalg.block_diag(*V)
     D, free = natural_jacobian(model, structure, problem.scale / 2.0)
     C, lost = parameter_covariance(D, W, whole)
     curve = max(problem.curves, key=lambda c: c.n_samples)
@@ -398,13 +398,13 @@ def _spread(label: str, y: Array, variance: Array, joint: float) -> Between:
 
     def inverse(q: float) -> float:
         """The variance between runs at which the scatter, which falls with it, is q."""
-        return 0.0 if q >= scatter(0.0) else float(optimize.brentq(lambda t2: scatter(t2) - q, 0.0, most))
+        return 0.0 if q >= scatter(0.0) else float(scipy.optimize.brentq(lambda t2: scatter(t2) - q, 0.0, most))
 
     size2 = inverse(float(dof))  # where the scatter is what it should be (Paule and Mandel 1982)
     w = 1.0 / (v + size2)
     middle, of_mean = float(w @ y / w.sum()), 1.0 / float(w.sum())
     excess = scatter(size2) / dof  # one, or less where the runs scatter less than they should
-    student, own = float(special.stdtrit(dof, 0.975)) ** 2, float(v.mean())
+    student, own = float(scipy.special.stdtrit(dof, 0.975)) ** 2, float(v.mean())
     of_middle = student * excess * of_mean
     of_log = student * excess * (of_mean + size2 + own)
     of_next = max(of_log - scatter_taken_off(y.size) * NORMAL**2 * own, of_middle)
@@ -414,7 +414,7 @@ def _spread(label: str, y: Array, variance: Array, joint: float) -> Between:
         return low, high
 
     common = math.copysign(math.exp(middle), joint)
-    bound = inverse(float(special.chdtri(dof, 0.95)))
+    bound = inverse(float(scipy.special.chdtri(dof, 0.95)))
     return Between(
         label, common, *ends(of_middle), math.sqrt(size2), math.sqrt(bound), *ends(of_next), *ends(of_log), int(y.size)
     )
@@ -435,20 +435,22 @@ def scatter_taken_off(runs: int) -> float:
     """
     dof = runs - 1
     cells = (np.arange(CELLS) + 0.5) / CELLS
-    own = special.chdtri(dof, 1.0 - cells) / dof  # sum of squares per degree of freedom, of logs that scatter by 1
-    student = float(special.stdtrit(dof, 0.975)) ** 2
+    own = (
+        scipy.special.chdtri(dof, 1.0 - cells) / dof
+    )  # sum of squares per degree of freedom, of logs that scatter by 1
+    student = float(scipy.special.stdtrit(dof, 0.975)) ** 2
     total = np.concatenate([[0.0], np.geomspace(0.1, WIDEST, 30)])[:, None] ** 2 + 1.0
     sd = np.sqrt(total * (1.0 + 1.0 / runs) - 1.0)
 
     def strays(part: float) -> float:
         """How much further coverage strays upwards than downwards."""
         square = np.maximum(student * own * total * (1.0 + 1.0 / runs) - part * NORMAL**2, student * own * total / runs)
-        held = np.mean(2.0 * special.ndtr(np.sqrt(square) / sd) - 1.0, axis=1)
+        held = np.mean(2.0 * scipy.special.ndtr(np.sqrt(square) / sd) - 1.0, axis=1)
         return float(held.max() - 0.95 - (0.95 - held.min()))
 
     if strays(1.0) >= 0.0:
         return 1.0
-    return float(optimize.brentq(strays, 0.0, 1.0, xtol=1e-4)) if strays(0.0) > 0.0 else 0.0
+    return float(scipy.optimize.brentq(strays, 0.0, 1.0, xtol=1e-4)) if strays(0.0) > 0.0 else 0.0
 
 
 # -- which model ---------------------------------------------------------------------------------------------------------------------------

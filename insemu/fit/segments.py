@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg
 
 from insemu.errors import InputError
 from insemu.fit.coordinates import Coordinates
@@ -191,7 +191,7 @@ class Segments:
         """
         scale, n = self.curves[0].scale_samples[self.keep], self.whole.n_samples
         here = [self.constant(model, s) for s in range(len(self.curves))]
-        out = linalg.block_diag(
+        out = scipy.linalg.block_diag(
             *(model_covariance(m, c.n_samples, scale, self.dt) for m, c in zip(here, self.curves, strict=True))
         )
         if not self.rest.any():

@@ -17,8 +17,8 @@ from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri
 
 from insemu.errors import InputError
 from insemu.fit.covariance import covariance_of_curve
@@ -282,7 +282,7 @@ def _candidate(
     spare = scale.size - parameters
     excess = max(best.objective - spare, 0.0)
     error = math.sqrt(2.0 * max(spare, 0) + 4.0 * excess)
-    p_value = float(chdtrc(spare, best.objective)) if spare > 0 else math.nan
+    p_value = float(scipy.special.chdtrc(spare, best.objective)) if spare > 0 else math.nan
     return Candidate(
         structure.model if structure.model.specified else unrated,
         parameters,
@@ -319,7 +319,7 @@ def _discrepancy(
     """
     structure, best, p = min(alive, key=lambda item: item[1].objective)
     spare = max(scale.size - p, 1)
-    if chdtrc(spare, best.objective) >= CHANCE:  # a fit blurred by a misfit that is none predicts worse
+    if scipy.special.chdtrc(spare, best.objective) >= CHANCE:  # a fit blurred by a misfit that is none predicts worse
         return 0.0
     fitted = structure.columns(scale / 2.0, best.shapes)[0] @ best.coefficients
     size = np.diag(fitted**2)
@@ -385,7 +385,7 @@ def _optimism(structure: Structure, best: Solution, scale: NDArray[np.int64], W:
 
 def _allowance(more: int, chance: float) -> float:
     """How much nearer a model with so many more parameters must be: the upper quantile of the chi-square of chance."""
-    return float(chdtri(more, chance))
+    return float(scipy.special.chdtri(more, chance))
 
 
 def _choose(ranked: list[Candidate], gain_under: Callable[[Candidate, Candidate], float], chance: float) -> Candidate:

@@ -16,8 +16,8 @@ from itertools import pairwise
 from typing import Literal, get_args
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar, nnls
 
 from insemu.errors import InputError
 from insemu.fit.result import Estimate, FitResult, unit_of
@@ -245,7 +245,7 @@ def _joint(seen: _Seen, free: list[Process], held: Array) -> list[Read]:
         size = columns.max(axis=0)
         white = whitened(np.column_stack([columns / size, seen.value - held]))
         used = white[:, :-1] if keep is None else white[:, keep]
-        solution, rest = nnls(used, white[:, -1])
+        solution, rest = scipy.optimize.nnls(used, white[:, -1])
         if keep is None:
             return solution / size, float(rest**2)
         return solution / size[keep], float(rest**2)
@@ -259,7 +259,9 @@ def _joint(seen: _Seen, free: list[Process], held: Array) -> list[Read]:
         elif where is not None:
             best = int(np.flatnonzero(grid == beta)[0])
             ends = np.log(grid[max(best - 1, 0)]), np.log(grid[min(best + 1, grid.size - 1)])
-            beta = math.exp(minimize_scalar(lambda x: solved(math.exp(x))[1], bounds=ends, method="bounded").x)
+            beta = math.exp(
+                scipy.optimize.minimize_scalar(lambda x: solved(math.exp(x))[1], bounds=ends, method="bounded").x
+            )
         coefficients, _ = solved(beta)
         level = np.maximum(basis(beta) @ coefficients + held, 1e-3 * seen.value)
     _, distance = solved(beta)

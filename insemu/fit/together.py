@@ -13,8 +13,8 @@ from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy import special
 
 from insemu.errors import InputError
 from insemu.fit.coordinates import Coordinates
@@ -388,7 +388,7 @@ class _Moments:
             return None
         _, statistic = self.minimised(tied, root_of_inverse(V[np.ix_(rows, rows)]), rows)
         used = np.asarray(self.scale[enough] * self.dt, dtype=np.float64)
-        return GoodnessOfFit(statistic, dof, float(special.chdtrc(dof, statistic)), used)
+        return GoodnessOfFit(statistic, dof, float(scipy.special.chdtrc(dof, statistic)), used)
 
 
 @lru_cache(maxsize=512)

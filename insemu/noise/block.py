@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import block_diag
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ class StateBlock:
 
         def diagonal(name: str) -> Array:
             return (
-                np.asarray(block_diag(*(getattr(b, name) for b in blocks if b.n))).reshape(n, n)
+                np.asarray(scipy.linalg.block_diag(*(getattr(b, name) for b in blocks if b.n))).reshape(n, n)
                 if n
                 else np.zeros((0, 0))
             )

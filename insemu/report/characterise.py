@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.figure import Figure as MplFigure
 from numpy.typing import NDArray
 
 from insemu.report.characterise_charts import (
@@ -22,10 +20,12 @@ from insemu.report.characterise_charts import (
 )
 from insemu.report.charts import Chart
 from insemu.report.page import Block, Card, Items, Section, Table, Text, render
-from insemu.report.style import COLOURS, style
+from insemu.report.style import COLOURS, pyplot, style
 from insemu.variance import duration, grouped_findings
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure as MplFigure
+
     from insemu.formats import NamedCurve
     from insemu.variance import AxisReport
 
@@ -50,7 +50,8 @@ def covariance_check(tau: Array, theory: Array, drawn: Array, draws: int, title:
         Process and length.
     """
     with style():
-        figure, (left, right) = plt.subplots(1, 2, figsize=(10.5, 4.2))
+        figure: MplFigure
+        figure, (left, right) = pyplot().subplots(1, 2, figsize=(10.5, 4.2))
         left.loglog(tau, np.sqrt(np.diag(theory)), "-", color=COLOURS[0], label="theory, exact finite-record sum")
         left.loglog(
             tau,

@@ -15,7 +15,9 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from insemu import __version__
+from insemu.progress import say_once
 from insemu.report.charts import Chart, asset, embedded, script, script_hash
+from insemu.report.style import NO_MATPLOTLIB, can_draw, pyplot
 from insemu.whole import put
 
 if TYPE_CHECKING:
@@ -62,7 +64,7 @@ class Figure:
     @classmethod
     def of(cls, figure: MplFigure, caption: str, dpi: int = 130) -> Figure:
         """Render a matplotlib figure and close it."""
-        import matplotlib.pyplot as plt
+        plt = pyplot()
 
         buffer = io.BytesIO()
         figure.savefig(buffer, format="png", dpi=dpi)
@@ -256,8 +258,11 @@ def render(
     html = document(title, sections, kind=kind, source=source, answer=answer, lead=lead, cards=cards, footer=footer)
     path = Path(path)
     if pictures and (charts := charts_of(sections)):
-        from insemu.report.static import save
+        if can_draw():
+            from insemu.report.static import save
 
-        save(charts, path.parent / "figures")
+            save(charts, path.parent / "figures")
+        else:
+            say_once(f"No charts as PNG and SVG beside the page: {NO_MATPLOTLIB}")
     put(path, html)
     return path

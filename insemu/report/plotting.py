@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from insemu.errors import InputError, nearest
 from insemu.evaluate import Results
@@ -22,6 +21,9 @@ from insemu.report.static import draw, draw_view
 from insemu.report.style import style
 from insemu.solve import Solution
 from insemu.variance import AxisReport
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 def chart_of(result: Any) -> Chart:

@@ -9,19 +9,19 @@ import textwrap
 import threading
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure as MplFigure
-from matplotlib.legend import Legend
-from matplotlib.ticker import NullLocator
 
 from insemu.report.charts import Chart, Line, View
-from insemu.report.style import OUTAGE, style
+from insemu.report.style import OUTAGE, pyplot, style
 from insemu.whole import put
 from insemu.work import processes, run_items
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as MplFigure
+    from matplotlib.legend import Legend
 
 #: Panels beside each other.
 ACROSS = 3
@@ -50,7 +50,8 @@ def draw(*charts: Chart) -> MplFigure:
     down = math.ceil(len(views) / across)
     size = (10.5, 0.6 + 4.2 * down) if across == 1 else (0.8 + 3.9 * across, 0.6 + 2.7 * down)
     with style():
-        figure, panels = plt.subplots(down, across, figsize=size, squeeze=False)
+        figure: MplFigure
+        figure, panels = pyplot().subplots(down, across, figsize=size, squeeze=False)
         for panel in list(panels.flat)[len(views) :]:
             panel.set_visible(False)
         said: set[tuple[str, str]] = set()
@@ -122,6 +123,8 @@ def _few_ticks(axes: Axes) -> None:
     """No minor ticks on a logarithmic axis of two decades or more, where the decades say enough: they are most of the time of a drawing."""
     for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
         if axis.get_scale() == "log" and high >= 100.0 * low > 0.0:
+            from matplotlib.ticker import NullLocator
+
             axis.set_minor_locator(NullLocator())
 
 
@@ -131,7 +134,7 @@ def _named_ticks(axes: Axes, ticks: Sequence[tuple[float, str]]) -> bool:
     slanted = len(names) * max(len(row) for text in names for row in text.split("\n")) > CHARACTERS
     axes.set_xticks([x for x, _ in ticks], [n.replace("\n", " ") for n in names] if slanted else names)
     if slanted:
-        plt.setp(axes.get_xticklabels(), rotation=25, ha="right", rotation_mode="anchor")
+        pyplot().setp(axes.get_xticklabels(), rotation=25, ha="right", rotation_mode="anchor")
     axes.margins(x=0.5 / len(ticks))  # half a bar
     axes.grid(axis="x", visible=False)
     return slanted
@@ -179,11 +182,11 @@ def pictures(chart: Chart) -> dict[str, bytes]:
     with style():
         figure.set_dpi(DPI)
         figure.draw_without_rendering()  # which lays it out
-        with plt.rc_context({"figure.constrained_layout.use": False}):
+        with pyplot().rc_context({"figure.constrained_layout.use": False}):
             figure.set_layout_engine(None)  # else every picture would be drawn twice, to be laid out again
         for kind in ("png", "svg"):
             buffer = io.BytesIO()
             figure.savefig(buffer, format=kind, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)
             out[kind] = buffer.getvalue()
-    plt.close(figure)
+    pyplot().close(figure)
     return out

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from insemu import yamlfile
 from insemu.augment import TURN_ON, Extras, per_axis, with_turn_on
@@ -185,7 +185,9 @@ def clock_offset(candidate: Candidate, drive: Drive) -> tuple[float, float]:
     best = float(grid[int(np.argmax([value(candidate, late) for late in grid]))])
     bounds = (best - OFFSET_STEP, best + OFFSET_STEP)
     late = float(
-        minimize_scalar(lambda x: -value(candidate, x), bounds=bounds, method="bounded", options={"xatol": 5e-4}).x
+        scipy.optimize.minimize_scalar(
+            lambda x: -value(candidate, x), bounds=bounds, method="bounded", options={"xatol": 5e-4}
+        ).x
     )
     step = 0.2 * OFFSET_STEP
     bend = (2.0 * value(candidate, late) - value(candidate, late - step) - value(candidate, late + step)) / step**2

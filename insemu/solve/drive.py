@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline
 
 from insemu import earth
 from insemu.errors import InputError
@@ -192,7 +192,7 @@ def velocity_lag(gnss: GnssRecord) -> float | None:
     t, v = gnss.t[good], gnss.vel_ned[good, :2]
     if t.size < 30:
         return None
-    way = CubicSpline(t, earth.position_difference(gnss.llh[good], gnss.llh[good][0])[:, :2])
+    way = scipy.interpolate.CubicSpline(t, earth.position_difference(gnss.llh[good], gnss.llh[good][0])[:, :2])
     inside = (t > t[0] + LAGS[-1]) & (t < t[-1] - LAGS[-1])
     left = np.array([np.median(np.abs(v[inside] - way(t[inside] - lag, 1))) for lag in LAGS])
     k = int(np.argmin(left))

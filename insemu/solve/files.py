@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from insemu import formats, noise, rotation
 from insemu.errors import InputError
@@ -18,6 +17,10 @@ from insemu.solve.against import Comparison
 from insemu.solve.outages import Outages
 from insemu.solve.solution import Solution
 from insemu.whole import replacing
+
+if TYPE_CHECKING:
+    import xarray as xr
+
 
 #: The file that holds filter, smoother and outages.
 SOLUTION = "solution.nc"
@@ -71,6 +74,8 @@ def summary(solution: Solution, compared: Comparison | None = None) -> dict[str,
 
 def dataset(solution: Solution) -> xr.Dataset:
     """Filter and smoother at the nodes, and every outage."""
+    import xarray as xr
+
     nodes, s = solution.taken.run.nodes, solution.smoothed
     assert nodes is not None
     rpy = rotation.rpy_from_quaternion
@@ -114,6 +119,8 @@ def way_of_solution(folder: Path) -> Way:
     """
     if not (folder / SOLUTION).is_file():
         raise InputError(f"holds no {SOLUTION}, expected a folder of `insemu solve`", where=str(folder))
+    import xarray as xr
+
     with xr.open_dataset(folder / SOLUTION, engine="h5netcdf") as held:
         of = {name: np.asarray(held[name].values, dtype=np.float64) for name in ("t", "llh", "vel_ned", "rpy", "sigma")}
         spans = [(float(a), float(b)) for a, b in held["worst_outages"].values]

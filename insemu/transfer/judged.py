@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from insemu.augment import Extras
 from insemu.errors import InputError
@@ -180,6 +180,6 @@ def _judged(name: str, own: Array, static: Array) -> Judged:
     gain = own[:, 0] - static[:, 0]
     n = gain.size
     sd = float(np.std(gain, ddof=1) / math.sqrt(n)) if n > 1 else math.nan
-    inside = float(np.mean(own[:, 1] < chdtri(3, 0.05)))
+    inside = float(np.mean(own[:, 1] < scipy.special.chdtri(3, 0.05)))
     metres = float(np.sqrt(np.mean(own[:, 2] ** 2)))
     return Judged(name, n, float(own[:, 0].mean()), (float(gain.mean()), sd), metres, inside)

@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.linalg import solve_toeplitz
 
 from insemu.effects import EffectUse
 from insemu.gap import rules
@@ -86,7 +86,7 @@ def _evidence(likelihood: Expected, explanation: Explanation) -> float:
 def trace_of_ratio(gamma: Array, true: Array) -> float:
     """Return ``tr(C^-1 C_true)`` of two symmetric Toeplitz matrices, from the sums of the diagonals of the inverse (Gohberg and Semencul)."""
     n = gamma.size
-    x = solve_toeplitz(gamma, np.eye(1, n)[0])
+    x = scipy.linalg.solve_toeplitz(gamma, np.eye(1, n)[0])
     a = x / x[0]
     size = 1 << (2 * n - 1).bit_length()
     spectrum, ramped = np.fft.rfft(a, size), np.fft.rfft(a * np.arange(n), size)

@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
-from scipy import stats
+import scipy  # whose parts are imported when they are used
 
 from insemu.trial.hidden import Hidden
 from insemu.trial.run import Said, Trial
@@ -44,8 +44,8 @@ def same(hidden: Hidden, effect: str, sensor: str, axes: Sequence[str], *, axis:
 
 def interval(k: int, n: int) -> tuple[float, float]:
     """Exact 95 % interval of a share (Clopper and Pearson)."""
-    low = float(stats.beta.ppf(0.025, k, n - k + 1)) if k else 0.0
-    high = float(stats.beta.ppf(0.975, k + 1, n - k)) if k < n else 1.0
+    low = float(scipy.stats.beta.ppf(0.025, k, n - k + 1)) if k else 0.0
+    high = float(scipy.stats.beta.ppf(0.975, k + 1, n - k)) if k < n else 1.0
     return low, high
 
 

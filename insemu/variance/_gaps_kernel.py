@@ -8,8 +8,9 @@ random a branch would be guessed wrong every second time: loops that see every s
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from insemu.compiled import njit
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

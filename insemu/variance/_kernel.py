@@ -6,8 +6,9 @@ Scalar code over plain arrays. ``reassoc`` lets the compiler vectorise sums; NaN
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from insemu.compiled import njit
 
 Array = NDArray[np.float64]
 

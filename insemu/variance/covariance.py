@@ -10,7 +10,6 @@ from collections.abc import Callable
 import numpy as np
 import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy import fft
 
 from insemu.errors import InputError
 from insemu.variance import _covariance_kernel
@@ -44,10 +43,10 @@ def wv_covariance(x: ArrayLike, *, filter: str = "haar", levels: int | None = No
     The longest scales rest on few coefficients and are rough; a model's covariance (:func:`model_covariance`) is better once there is one.
     """
     coefficients = wavelet_coefficients(x, filter=filter, levels=levels)
-    size = fft.next_fast_len(2 * coefficients[0].size, real=True)
+    size = scipy.fft.next_fast_len(2 * coefficients[0].size, real=True)
     spectra = np.empty((len(coefficients), size // 2 + 1))
     for row, w in zip(spectra, coefficients, strict=True):
-        row[:] = np.abs(fft.rfft(w, size)) ** 2 / w.size
+        row[:] = np.abs(scipy.fft.rfft(w, size)) ** 2 / w.size
     # both signs of frequency count
     weight = np.full(spectra.shape[1], 2.0)
     weight[0] = 1.0
@@ -96,12 +95,12 @@ def level1_autocovariance(
         )
     if psd is not None:
         # midpoints in frequency, so that a pole at 0 is never touched; the sum is exact up to lags folded at twice this length
-        size = fft.next_fast_len(2 * n_samples, real=True)
+        size = scipy.fft.next_fast_len(2 * n_samples, real=True)
         f = (np.arange(size) + 0.5) / (2 * size)
         rate_hz = check_rate(rate_hz)
         spectrum = np.asarray(psd(f * rate_hz), dtype=float) * rate_hz * np.sin(np.pi * f) ** 2
         # cosines at half-integer frequencies: the third kind of cosine transform, transposed
-        return np.asarray(fft.dct(spectrum, type=2)[:n_samples] / (2.0 * size))
+        return np.asarray(scipy.fft.dct(spectrum, type=2)[:n_samples] / (2.0 * size))
     lags = np.arange(n_samples + 1)
     if increments is not None:
         return np.asarray(increments(lags[:-1]), dtype=float) / 4.0

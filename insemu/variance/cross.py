@@ -9,8 +9,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy import special
 
 from insemu.errors import InputError
 from insemu.variance.edof import chi_square_interval, noise_type, octave_correlation
@@ -115,7 +115,7 @@ def wavelet_covariance(
     (l1, h1), (l2, h2) = (chi_square_interval(p, edof, confidence) for p in parts)
     low = value - root * np.hypot(parts[0] - l1, h2 - parts[1])
     high = value + root * np.hypot(h1 - parts[0], parts[1] - l2)
-    z = float(special.ndtri(0.5 + 0.5 * confidence))
+    z = float(scipy.special.ndtri(0.5 + 0.5 * confidence))
     half = np.where(edof > 3.0, z / np.sqrt(np.maximum(edof - 2.0, 1.0)), np.inf)
     bounded = np.arctanh(np.clip(r, -1 + 1e-12, 1 - 1e-12))
     return WaveletCovariance(
@@ -143,4 +143,4 @@ def _independence(curves: list[WaveletVariance], z: Array, edof: Array) -> float
     )
     standard = z[use] * np.sqrt(edof[use] - 2.0)
     statistic = float(standard @ np.linalg.solve(together, standard))
-    return float(special.chdtrc(int(use.sum()), statistic))
+    return float(scipy.special.chdtrc(int(use.sum()), statistic))

@@ -17,9 +17,8 @@ from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import nnls
-from scipy.special import chdtri, ndtri
 
 from insemu.errors import InputError
 from insemu.noise import PROCESSES
@@ -89,19 +88,19 @@ def chi_square_interval(
         raise InputError(f"intervals is '{kind}', expected one of: {', '.join(get_args(Intervals))}")
     tail = 0.5 * (1.0 - check_confidence(confidence))
     if kind == "normal":
-        half = ndtri(1.0 - tail) * value * np.sqrt(2.0 / edof)
+        half = scipy.special.ndtri(1.0 - tail) * value * np.sqrt(2.0 / edof)
         half = np.where(edof > NORMAL_ABOVE, half, np.nan)
         return value - half, value + half
     if scatter is None or kind == "eta3":
         # chdtri inverts the upper tail
-        return edof * value / chdtri(edof, tail), edof * value / chdtri(edof, 1.0 - tail)
+        return edof * value / scipy.special.chdtri(edof, tail), edof * value / scipy.special.chdtri(edof, 1.0 - tail)
     ends = []
     for upper in (tail, 1.0 - tail):
         there = 1.0 / _power(edof, scatter.skew, upper)
         freedom = np.maximum(edof * np.clip(there, 0.2, 5.0) ** scatter.follows, 1.0)
         own = freedom / scatter.skew
         # a plain chi-square where the skewness is that of one
-        shifted = 1.0 + (chdtri(own, upper) / own - 1.0) / np.sqrt(scatter.skew)
+        shifted = 1.0 + (scipy.special.chdtri(own, upper) / own - 1.0) / np.sqrt(scatter.skew)
         ends.append(
             value / np.where(scatter.skew > 1.0, 0.5 * (shifted + _power(freedom, scatter.skew, upper)), shifted)
         )
@@ -113,7 +112,8 @@ def _power(edof: Array, skew: Array, upper: float) -> Array:
     h = 1.0 - 2.0 / 3.0 * np.sqrt(skew)
     h = np.where(np.abs(h) < 1e-3, 1e-3, h)
     return np.asarray(
-        np.maximum(1.0 + h * (h - 1.0) / edof + ndtri(1.0 - upper) * h * np.sqrt(2.0 / edof), 1e-12) ** (1.0 / h)
+        np.maximum(1.0 + h * (h - 1.0) / edof + scipy.special.ndtri(1.0 - upper) * h * np.sqrt(2.0 / edof), 1e-12)
+        ** (1.0 / h)
     )
 
 
@@ -229,7 +229,7 @@ def noise_type(
     for _ in range(3):  # re-weighting by the fitted level keeps a low estimate at a long scale from ruling the fit
         scale = 1.0 / (spread * level)
         norm = np.linalg.norm(basis * scale[:, None], axis=0)
-        solution, _ = nnls(basis * scale[:, None] / norm, target * scale)
+        solution, _ = scipy.optimize.nnls(basis * scale[:, None] / norm, target * scale)
         weights = solution / norm
         level = np.maximum(basis @ weights, 1e-3 * target)
     found = np.flatnonzero(weights > 0)

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy import fft
 
 from insemu.errors import InputError
 from insemu.noise import PROCESSES, NoiseModel, Process
@@ -62,7 +62,7 @@ class Octave:
     def lags(self, spectrum: Array) -> Array:
         """Autocovariance of the coefficients at multiples of the stride, of the spectrum that the signal has at ``f``."""
         seen = self.gain * spectrum
-        return np.asarray(fft.irfft(seen, norm="forward") * self.f[1])
+        return np.asarray(scipy.fft.irfft(seen, norm="forward") * self.f[1])
 
 
 @lru_cache(maxsize=64)
@@ -72,7 +72,7 @@ def octave(filter: str, j: int) -> Octave:
     scale = 1 << j
     stride = max(1.0, scale / (2.0 * HIGHEST))
     reach = (scale - 1) * (h.size - 1) + 1
-    count = fft.next_fast_len(int(2.2 * (reach + TAIL * scale) / stride) + 16, real=True)
+    count = scipy.fft.next_fast_len(int(2.2 * (reach + TAIL * scale) / stride) + 16, real=True)
     count += count % 2
     f = np.arange(count // 2 + 1) / (count * stride)
     gain = _gain(filter, j, _beside_zero(f))

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.special import chdtri, fdtri, stdtrit
 
 from insemu.variance.spectrum import psd
 from insemu.variance.wavelet import wavelet_variance
@@ -167,7 +167,7 @@ def stationarity(x: Array, rate_hz: float, unit: str) -> list[str]:
             last = int(np.flatnonzero(ratio > 1.0)[-1]) + 1
             early.append((last * width / rate_hz, float(np.abs(steps[:half]).max() / size), width / rate_hz))
         at = half + int(np.argmax(np.abs(steps[half:])))
-        beyond = abs(float(steps[at])) / spread / -float(stdtrit(freedom, 0.5 * share))
+        beyond = abs(float(steps[at])) / spread / -float(scipy.special.stdtrit(freedom, 0.5 * share))
         if beyond > 1.0:
             late.append((beyond, float(steps[at]), (at + 1) * width / rate_hz, width / rate_hz))
     if early:
@@ -187,7 +187,7 @@ def stationarity(x: Array, rate_hz: float, unit: str) -> list[str]:
 
 def _f_isf(share: float, above: float, below: float) -> float:
     """What an F variable with these degrees of freedom exceeds with a probability of ``share``, however small."""
-    return 1.0 / float(fdtri(below, above, share))
+    return 1.0 / float(scipy.special.fdtri(below, above, share))
 
 
 def _range(running: Array, rate_hz: float, until_s: float) -> float:
@@ -292,13 +292,13 @@ def _lines(x: Array, rate_hz: float, segment: int) -> list[tuple[float, float]]:
     count = density.size // AROUND
     # a median of chi-square variables tells their mean
     median = np.median(density[: count * AROUND].reshape(count, AROUND), axis=1)
-    middle = median * freedom / float(chdtri(freedom, 0.5))
+    middle = median * freedom / float(scipy.special.chdtri(freedom, 0.5))
     if middle.min() <= 0.0:
         return []
     level = np.exp(np.interp(np.arange(density.size), (np.arange(count) + 0.5) * AROUND - 0.5, np.log(middle)))
     share = FALSE_ALARM / (len(PARTS) * density.size)
     uncertain = 1.25 * np.sqrt(2.0 / freedom / AROUND)
-    high = density > level * float(chdtri(freedom, share)) / freedom * (1.0 + 4.0 * uncertain)
+    high = density > level * float(scipy.special.chdtri(freedom, share)) / freedom * (1.0 + 4.0 * uncertain)
     high[: STEEP * AROUND] = False
     bins = np.flatnonzero(high)
     out = []

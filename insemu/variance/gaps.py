@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy import fft
 
 from insemu.variance import _gaps_kernel
 from insemu.variance.edof import (
@@ -270,19 +270,19 @@ def filter_with_gaps(x: Array, origin: float, filter: str, haar: GapCurve) -> Ga
     n = x.size
     there = np.isfinite(x)
     d = np.where(there, x - origin, 0.0)
-    size = fft.next_fast_len(2 * n, real=True)
-    mask, first, second = (fft.rfft(v, size) for v in (there.astype(np.float64), d, d * d))
-    pairs = np.round(fft.irfft(np.abs(mask) ** 2, size)[:n])
-    squares = fft.irfft((np.conj(mask) * second).real - np.abs(first) ** 2, size)[:n]
+    size = scipy.fft.next_fast_len(2 * n, real=True)
+    mask, first, second = (scipy.fft.rfft(v, size) for v in (there.astype(np.float64), d, d * d))
+    pairs = np.round(scipy.fft.irfft(np.abs(mask) ** 2, size)[:n])
+    squares = scipy.fft.irfft((np.conj(mask) * second).real - np.abs(first) ** 2, size)[:n]
     # as a spectrum: a filter's gain weighs it, and that of a longer octave is that of the first at a multiple of the frequency
     both = np.zeros(size)
     both[:n] = squares / np.maximum(pairs, 1.0)
     both[0] = 0.0
     both[size - n + 1 :] = both[n - 1 : 0 : -1]
-    spectrum = -fft.rfft(both).real / size
+    spectrum = -scipy.fft.rfft(both).real / size
     spectrum[1 : (size + 1) // 2] *= 2.0
     at = np.arange(size // 2 + 1)
-    wavelet, smooth = (np.abs(fft.fft(taps, size)) ** 2 for taps in (h, g))
+    wavelet, smooth = (np.abs(scipy.fft.fft(taps, size)) ** 2 for taps in (h, g))
     without = int(np.argmin(np.append(pairs[1:], 0.0))) + 1  # the shortest distance that no two samples have
     value: list[float] = []
     for _ in range(haar.value.size):

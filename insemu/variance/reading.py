@@ -20,9 +20,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.optimize import brentq, nnls
-from scipy.special import chdtri
 
 from insemu.units import conversion
 from insemu.variance.allan import AllanVariance
@@ -187,7 +186,7 @@ def _power_laws(curve: AllanVariance, noise: NoiseType) -> NoiseType | None:
         root = np.linalg.cholesky(together * np.outer(spread, spread) + 1e-6 * np.diag(spread**2))
         white = np.linalg.solve(root, np.column_stack([basis, value]))
         norm = np.linalg.norm(white[:, :-1], axis=0)
-        solution, rest = nnls(white[:, :-1] / norm, white[:, -1])
+        solution, rest = scipy.optimize.nnls(white[:, :-1] / norm, white[:, -1])
         return float(rest**2), solution / norm
 
     laws = [("QN", 0.0), ("WN", 0.0), ("RW", 0.0), ("DR", 0.0)]
@@ -199,7 +198,7 @@ def _power_laws(curve: AllanVariance, noise: NoiseType) -> NoiseType | None:
             1e-3 * value,
         )
     freedom = value.size - np.count_nonzero(weights)
-    if freedom < 3 or distance > chdtri(freedom, 0.01):
+    if freedom < 3 or distance > scipy.special.chdtri(freedom, 0.01):
         return None
     walkless = [law for law in laws if law[0] != "RW"]
     for tc in 2.0 ** np.arange(0.0, np.log2(m[-1]) + 1.0):
@@ -245,7 +244,7 @@ def _fit(
     misfit = _MISFIT**2
     for _ in range(5):
         scale = 1.0 / (np.sqrt(2.0 / edof + misfit) * level)
-        solution, _ = nnls(basis * scale[:, None], value * scale)
+        solution, _ = scipy.optimize.nnls(basis * scale[:, None], value * scale)
         level = np.maximum(basis @ solution, 1e-3 * value)
         misfit = float(np.clip(np.mean((1.0 - value / level) ** 2 - 2.0 / edof), 0.0, _MISFIT**2))
     at = exponents.index(exponent)
@@ -260,8 +259,10 @@ def _fit(
     white = np.linalg.solve(
         np.linalg.cholesky(covariance), np.column_stack([basis[:, at], np.delete(basis, at, axis=1), value])
     )
-    without = nnls(white[:, 1:-1], white[:, -1])[1] if len(exponents) > 1 else np.linalg.norm(white[:, -1])
-    if without**2 - nnls(white[:, :-1], white[:, -1])[1] ** 2 < _VISIBLE:
+    without = (
+        scipy.optimize.nnls(white[:, 1:-1], white[:, -1])[1] if len(exponents) > 1 else np.linalg.norm(white[:, -1])
+    )
+    if without**2 - scipy.optimize.nnls(white[:, :-1], white[:, -1])[1] ** 2 < _VISIBLE:
         return None
     if everywhere:
         triple = _likely(white[:, 0], white[:, 1:-1], white[:, -1])
@@ -270,7 +271,9 @@ def _fit(
         weighted = basis.T / np.diag(covariance)
         row = np.linalg.solve(weighted @ basis, weighted)[at]
         freedom = 2.0 * solution[at] ** 2 / float(row @ covariance @ row)
-        triple = solution[at] * np.array([1.0, freedom / chdtri(freedom, 0.025), freedom / chdtri(freedom, 0.975)])
+        triple = solution[at] * np.array(
+            [1.0, freedom / scipy.special.chdtri(freedom, 0.025), freedom / scipy.special.chdtri(freedom, 0.975)]
+        )
     return _reading(name, np.sqrt(triple * pivot**-exponent / factor), signal_unit, (float(tau_from), float(tau_to)))
 
 
@@ -283,10 +286,10 @@ def _likely(target: Array, neighbours: Array, aim: Array) -> Array:
 
     def distance(a: float, beside: list[int]) -> float:
         left = aim - a * target
-        return float(nnls(neighbours[:, beside], left)[1] ** 2) if beside else float(left @ left)
+        return float(scipy.optimize.nnls(neighbours[:, beside], left)[1] ** 2) if beside else float(left @ left)
 
     def nearest(beside: list[int]) -> tuple[float, float]:
-        solution, rest = nnls(np.column_stack([target, neighbours[:, beside]]), aim)
+        solution, rest = scipy.optimize.nnls(np.column_stack([target, neighbours[:, beside]]), aim)
         return float(solution[0]), float(rest**2)
 
     everything = list(range(neighbours.shape[1]))
@@ -307,10 +310,12 @@ def _end(growth: Callable[[float], float], value: float, reach: float, tail: flo
     """The end of a chi-square interval whose standard deviation is where the distance has grown as for one."""
     far = growth(reach) - _CHI_SQUARE
     # as a share of the reach: the solver's tolerance is absolute, and squares of quiet sensors are below it
-    share = float(brentq(lambda u: growth(u * reach) - _CHI_SQUARE, 0.0, 1.0, rtol=1e-4)) if far > 0 else 1.0
+    share = (
+        float(scipy.optimize.brentq(lambda u: growth(u * reach) - _CHI_SQUARE, 0.0, 1.0, rtol=1e-4)) if far > 0 else 1.0
+    )
     sigma = share * reach / 1.96
     freedom = 2.0 * value**2 / sigma**2
-    return float(value * freedom / chdtri(freedom, tail))
+    return float(value * freedom / scipy.special.chdtri(freedom, tail))
 
 
 def _flat(
@@ -343,7 +348,10 @@ def _flat(
     span = (float(tau[first]), float(tau[last]))
     freedom = float(edof[low_at])
     level = float(smooth[low_at])
-    bounds = [level * freedom / chdtri(freedom, 0.025), level * freedom / chdtri(freedom, 0.975)]
+    bounds = [
+        level * freedom / scipy.special.chdtri(freedom, 0.025),
+        level * freedom / scipy.special.chdtri(freedom, 0.975),
+    ]
     octaves = float(fine[last] - fine[first])
     note = ""
     if octaves < 2.0:
@@ -370,5 +378,7 @@ def _above_white(curve: AllanVariance, tau: float, level: float) -> bool:
     white = float(earlier.min() / curve.tau_s[at])
     freedom = float(curve.edof[at])
     return (
-        bool(curve.value[at] * freedom / chdtri(freedom, 0.001) > white) if white < curve.value[at] else level > white
+        bool(curve.value[at] * freedom / scipy.special.chdtri(freedom, 0.001) > white)
+        if white < curve.value[at]
+        else level > white
     )

@@ -25,9 +25,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
-from scipy.special import ndtr
 
 from insemu.errors import InputError
 from insemu.variance import _kernel
@@ -104,7 +103,7 @@ def biweight_constants(efficiency: float) -> tuple[float, float]:
         slope = weight(z, c) * z * z * 2.0 - 4.0 * np.maximum(1.0 - (z / c) ** 2, 0.0) * (z / c) ** 2 * (z * z - k)
         return float(0.5 * (slope * density).sum() ** 2 / (psi**2 * density).sum() - efficiency)
 
-    c = float(brentq(excess, 2.0, 30.0))
+    c = float(scipy.optimize.brentq(excess, 2.0, 30.0))
     return c, k_of(c)
 
 
@@ -128,7 +127,7 @@ def _core(w: Array, s2: float) -> float:
     """The variance of what is within the step limit, for Gaussian values cut there."""
     inside = w[np.abs(w) <= STEP_LIMIT * np.sqrt(s2)]
     density = np.exp(-0.5 * STEP_LIMIT**2) / np.sqrt(2.0 * np.pi)
-    cut = 1.0 - 2.0 * STEP_LIMIT * density / (2.0 * ndtr(STEP_LIMIT) - 1.0)
+    cut = 1.0 - 2.0 * STEP_LIMIT * density / (2.0 * scipy.special.ndtr(STEP_LIMIT) - 1.0)
     return float(np.dot(inside, inside) / max(inside.size, 1) / cut)
 
 
@@ -141,7 +140,7 @@ def _heavy(w: Array, variance: float, scale: int) -> bool:
     if r.max() > np.sqrt(2.0 * np.log(count) + 2.0 * np.log(1e4)):
         return True
     for limit in (3.0, 3.5, 4.0):
-        expected = 2.0 * ndtr(-limit) * count
+        expected = 2.0 * scipy.special.ndtr(-limit) * count
         # neighbours share samples, so that exceedances come in groups
         spread = np.sqrt(max(expected, 1.0) * scale)
         if (r > limit).sum() > 1.05 * expected + 5.0 * spread + 4.0 * scale:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy import special
 
 from insemu.errors import InputError
 from insemu.variance.cross import LEAST_DOF
@@ -73,20 +73,20 @@ def same_model(first: WaveletVariance, second: WaveletVariance) -> SameModel:
         raise InputError(f"no scale has {LEAST_DOF:g} degrees of freedom in both signals, expected longer signals")
     value = [c.value[:count][use] for c in curves]
     half = [0.5 * c.edof[:count][use] for c in curves]
-    mean = [special.digamma(h) - np.log(h) for h in half]
-    spread = np.sqrt(special.polygamma(1, half[0]) + special.polygamma(1, half[1]))
+    mean = [scipy.special.digamma(h) - np.log(h) for h in half]
+    spread = np.sqrt(scipy.special.polygamma(1, half[0]) + scipy.special.polygamma(1, half[1]))
     apart = np.log(value[0] / value[1]) - mean[0] + mean[1]
     m = first.scale_samples[:count][use] / 2.0
     noise = noise_type(2.0 * m, np.sqrt(value[0] * value[1]), min(c.n_samples for c in curves))
     together = octave_correlation(noise, m) * np.outer(spread, spread)
     statistic = float(apart @ np.linalg.solve(together, apart))
     ratio = value[0] / value[1]
-    ends = [special.fdtri(2.0 * half[0], 2.0 * half[1], p) for p in (0.975, 0.025)]
+    ends = [scipy.special.fdtri(2.0 * half[0], 2.0 * half[1], p) for p in (0.975, 0.025)]
     return SameModel(
         first.tau_s[:count][use],
         ratio,
         ratio / ends[0],
         ratio / ends[1],
         statistic,
-        float(special.chdtrc(int(use.sum()), statistic)),
+        float(scipy.special.chdtrc(int(use.sum()), statistic)),
     )

@@ -11,8 +11,6 @@ from typing import Literal, get_args
 import numpy as np
 import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy import fft
-from scipy.special import chdtri
 
 from insemu.errors import InputError
 from insemu.variance.edof import check_confidence
@@ -59,7 +57,13 @@ class Spectrum:
 def _spectrum(f: Array, psd: Array, edof: Array, method: str, confidence: float) -> Spectrum:
     tail = 0.5 * (1.0 - check_confidence(confidence))
     return Spectrum(
-        f, psd, edof * psd / chdtri(edof, tail), edof * psd / chdtri(edof, 1.0 - tail), edof, method, confidence
+        f,
+        psd,
+        edof * psd / scipy.special.chdtri(edof, tail),
+        edof * psd / scipy.special.chdtri(edof, 1.0 - tail),
+        edof,
+        method,
+        confidence,
     )
 
 
@@ -116,14 +120,14 @@ def psd(
         # half-overlapped Hann segments are correlated by 1/6 of their amplitude: (1/6)^2 of their power
         edof = 2.0 * pieces / (1.0 + 2.0 * (1.0 - 1.0 / pieces) / 36.0)
         return _spectrum(f[1:], _two_sided(power, length)[1:], np.full(f.size - 1, edof), method, confidence)
-    f = fft.rfftfreq(n, 1.0 / rate_hz)
+    f = scipy.fft.rfftfreq(n, 1.0 / rate_hz)
     if method == "periodogram":
-        power = np.abs(fft.rfft(values)) ** 2 / (n * rate_hz)
+        power = np.abs(scipy.fft.rfft(values)) ** 2 / (n * rate_hz)
         return _spectrum(f[1:], power[1:], np.full(f.size - 1, 2.0), method, confidence)
     if not 1.5 <= bandwidth <= n / 4:
         raise InputError(f"bandwidth is {bandwidth}, expected 1.5 to {n / 4:g}")
     tapers = scipy.signal.windows.dpss(n, bandwidth, Kmax=int(2 * bandwidth) - 1)
-    power = np.mean([np.abs(fft.rfft(values * taper)) ** 2 for taper in tapers], axis=0) / rate_hz
+    power = np.mean([np.abs(scipy.fft.rfft(values * taper)) ** 2 for taper in tapers], axis=0) / rate_hz
     return _spectrum(f[1:], power[1:], np.full(f.size - 1, 2.0 * len(tapers)), method, confidence)
 
 
@@ -232,8 +236,8 @@ def autocorrelation(x: ArrayLike, rate_hz: float = 1.0, *, max_lag_s: float | No
     most = n - 1 if max_lag_s is None else round(max_lag_s * rate_hz)
     if not 1 <= most < n:
         raise InputError(f"max_lag_s is {max_lag_s}, expected {1 / rate_hz:g} to {(n - 1) / rate_hz:g} s")
-    transform = fft.rfft(values - values.mean(), fft.next_fast_len(n + most, real=True))
-    covariance = fft.irfft(np.abs(transform) ** 2, fft.next_fast_len(n + most, real=True))[: most + 1] / n
+    transform = scipy.fft.rfft(values - values.mean(), scipy.fft.next_fast_len(n + most, real=True))
+    covariance = scipy.fft.irfft(np.abs(transform) ** 2, scipy.fft.next_fast_len(n + most, real=True))[: most + 1] / n
     if covariance[0] <= 0.0:
         raise InputError("the signal is constant and has no autocorrelation")
     return Autocorrelation(

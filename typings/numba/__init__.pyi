@@ -1,22 +1,12 @@
 """What insemu uses of numba, which ships no types: a compiled function keeps the signature that it was written with."""
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 from numba import types as types
 
-_F = TypeVar("_F", bound=Callable[..., Any])
+__version__: str
 
-class _Compiled:
-    address: int
-
-def cfunc(signature: Any, *, cache: bool = ...) -> Callable[[Callable[..., None]], _Compiled]: ...
+def cfunc(signature: Any, *, cache: bool = ...) -> Callable[[Callable[..., None]], Any]: ...
 def carray(pointer: Any, shape: int | tuple[int, ...]) -> Any: ...
-def njit(
-    *,
-    cache: bool = ...,
-    nogil: bool = ...,
-    fastmath: bool | set[str] = ...,
-    inline: str = ...,
-    error_model: str = ...,
-) -> Callable[[_F], _F]: ...
+def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]: ...

@@ -12,9 +12,9 @@ from pkgutil import iter_modules
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from insemu.compiled import njit
 from insemu.filters.aid import SETTINGS, Aid
 from insemu.filters.aids.standstill import Standstill
 from insemu.records import AidRecord

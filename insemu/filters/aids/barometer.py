@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from insemu.compiled import njit
 from insemu.filters.aid import Aid, TrueMotion
 from insemu.rotation import scalar_dcm
 

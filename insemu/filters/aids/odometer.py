@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from insemu.compiled import njit
 from insemu.filters.aid import Aid, TrueMotion
 from insemu.filters.measurements import against_earth
 from insemu.rotation import dcm_from_rpy, scalar_dcm

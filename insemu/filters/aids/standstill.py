@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from insemu.compiled import njit
 from insemu.earth import RATE
 from insemu.filters.aid import Aid
 from insemu.filters.measurements import against_earth

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from insemu.gap.drive.beside import Measured
 from insemu.gap.policy import rules
@@ -44,7 +44,7 @@ def far_off(measured: Measured) -> FarOff | None:
     for row in range(std.shape[1]):
         y, G = measured.off[:, measured.used][:, row] / std[:, row], (columns[:, :, row] / std[:, row]).T
         left = y - G @ _robust(G, y)
-        mixture = Mixture.of(left - median_filter(left, size=min(MEDIAN, left.size), mode="nearest"))
+        mixture = Mixture.of(left - scipy.ndimage.median_filter(left, size=min(MEDIAN, left.size), mode="nearest"))
         few = mixture.share <= rules().most_outliers and mixture.size > 3.0 * mixture.level
         if few and mixture.nats > rules().least_nats:
             gone |= mixture.odds > 0.5

@@ -6,8 +6,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from insemu.gap.candidates.axis import (
     AxisHypothesis,
@@ -157,7 +157,9 @@ def _outliers_in_motion(
         return 0.5 * squares / v + at.size * (0.5 * log_v + math.log(max(seen(v), 1e-300)))
 
     mean = squares / at.size
-    found = minimize_scalar(score, bounds=(math.log(0.02 * mean), math.log(2.0 * mean)), method="bounded")
+    found = scipy.optimize.minimize_scalar(
+        score, bounds=(math.log(0.02 * mean), math.log(2.0 * mean)), method="bounded"
+    )
     v = math.exp(float(found.x))
     share = at.size / (r.size * seen(v))
     off = 1.96 / math.sqrt(at.size)

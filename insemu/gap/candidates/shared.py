@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy import special
 
 from insemu.gap.candidates.axis import AxisState
 from insemu.gap.data.log import difference_covariance, scale_of
@@ -151,12 +151,12 @@ def _weighed(pair: Pair, one: Whitened, two: Whitened, known: Array | None, look
         return np.asarray(-np.log1p(-g * g) - (power - 2.0 * g * product) / (1.0 - g * g))
 
     logs = np.array([likelihood(base + rho * weight).sum() for rho in RHO]) - likelihood(base).sum()
-    nats = float(special.logsumexp(logs) - math.log(RHO.size)) - math.log(looked_at)
-    share = np.cumsum(np.exp(logs - special.logsumexp(logs)))
+    nats = float(scipy.special.logsumexp(logs) - math.log(RHO.size)) - math.log(looked_at)
+    share = np.cumsum(np.exp(logs - scipy.special.logsumexp(logs)))
     low, value, high = (float(np.interp(q, share, RHO)) for q in (0.025, 0.5, 0.975))
     spread = math.sqrt(0.5 * float(np.sum(weight**2 * (1.0 + base**2))))
     z = float(weight @ (product - base)) / spread if spread > 0 else 0.0
-    return Common(pair, nats, value, low, high, float(special.erfc(abs(z) / math.sqrt(2.0))))
+    return Common(pair, nats, value, low, high, float(scipy.special.erfc(abs(z) / math.sqrt(2.0))))
 
 
 # -- what a find changes ------------------------------------------------------------------------------------------------------------------

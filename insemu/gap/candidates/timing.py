@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 
-from scipy.optimize import minimize_scalar
+import scipy  # whose parts are imported when they are used
 
 from insemu.effects import EFFECTS, FixGeometry
 from insemu.gap.drive.preparation import Flown, Prepared
@@ -106,7 +106,7 @@ def find_times(
             break
         at, top = 2.0 * at, further
     low, high = sorted((0.25 * at, 2.0 * at))
-    found = minimize_scalar(
+    found = scipy.optimize.minimize_scalar(
         lambda x: -flown(float(x)).score, bounds=(low, high), method="bounded", options={"xatol": 4e-3}
     )
     offset = max(known, key=lambda k: known[k].score)

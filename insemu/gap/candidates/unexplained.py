@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.linear import Block, Field, recursive_residuals
@@ -39,7 +39,7 @@ class Unexplained:
         if not self.given:
             return np.zeros((self.data.y.size, 0)), np.eye(0), np.eye(0)
         index, root, L, _ = self.data.solved(self.given)
-        return self.data.G[:, index], root, np.asarray(solve_triangular(L, np.eye(len(L)), lower=True))
+        return self.data.G[:, index], root, np.asarray(scipy.linalg.solve_triangular(L, np.eye(len(L)), lower=True))
 
     @cached_property
     def span(self) -> Array:

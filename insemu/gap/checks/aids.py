@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-import scipy.stats
+import scipy  # whose parts are imported when they are used
 
 from insemu.errors import InputError
 from insemu.filters import AIDS

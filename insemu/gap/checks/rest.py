@@ -12,7 +12,6 @@ from itertools import pairwise
 import numpy as np
 import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy import linalg
 
 from insemu.gap.candidates.axis import AxisState, whitened
 from insemu.gap.data.counts import lattice
@@ -162,8 +161,8 @@ def spent_on(state: AxisState) -> Array:
         information += 0.5 * (slopes / S * data.counted) @ (slopes / S).T
     n = data.differences.size
     gamma, slopes = _with_slopes(explanation, lambda e: e.covariance(data.block, data.dt, n), everything)
-    factor = linalg.cho_factor(linalg.toeplitz(gamma))
-    parts = [linalg.cho_solve(factor, linalg.toeplitz(g)) for g in slopes]
+    factor = scipy.linalg.cho_factor(scipy.linalg.toeplitz(gamma))
+    parts = [scipy.linalg.cho_solve(factor, scipy.linalg.toeplitz(g)) for g in slopes]
     information += 0.5 * np.array([[float(np.sum(a * b.T)) for b in parts] for a in parts])
     values, vectors = np.linalg.eigh(information)
     covariance = (vectors / np.maximum(values, 1.0)) @ vectors.T
@@ -227,7 +226,7 @@ def _haar(paths: Array, span: int) -> Array:
 
 
 def _draw(gamma: Array, count: int, rng: np.random.Generator) -> Array:
-    lower = linalg.cholesky(linalg.toeplitz(gamma) + np.eye(gamma.size) * (1e-12 * gamma[0]), lower=True)
+    lower = scipy.linalg.cholesky(scipy.linalg.toeplitz(gamma) + np.eye(gamma.size) * (1e-12 * gamma[0]), lower=True)
     return np.asarray((lower @ rng.standard_normal((gamma.size, count))).T)
 
 

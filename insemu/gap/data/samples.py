@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
 
 from insemu.gap.data.counts import lattice, pile_evidence
 from insemu.gap.policy import rules
@@ -339,7 +338,7 @@ def unclipped(t: Array, rates: Array, at: NDArray[np.bool_]) -> tuple[Array, lis
         both = own + r * (last - first)
         # moments of a normal above zero
         alpha = beyond / math.sqrt(both)
-        ratio = math.exp(-0.5 * alpha**2 - 0.5 * math.log(2.0 * math.pi) - float(log_ndtr(alpha)))
+        ratio = math.exp(-0.5 * alpha**2 - 0.5 * math.log(2.0 * math.pi) - float(scipy.special.log_ndtr(alpha)))
         out[first:last] = mean + side * weight * ratio / math.sqrt(both)
         own -= own**2 / both * ratio * (ratio + alpha)
         said.append((float(t[first]) - dt, float(t[last - 1]), math.sqrt(max(own, 0.0)) * dt))

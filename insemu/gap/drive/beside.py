@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from insemu import rotation
 from insemu.effects import EFFECTS, steady
@@ -99,7 +99,7 @@ class Smoothed:
         values[:, around] = np.unwrap(values[:, around], axis=0)
         quiet = steady(values, dt)
         window = max(1, min(round(SHAKEN_S / dt), len(values)))
-        shaken = uniform_filter1d((values - quiet) ** 2, window, axis=0, mode="nearest")
+        shaken = scipy.ndimage.uniform_filter1d((values - quiet) ** 2, window, axis=0, mode="nearest")
         return Shown(self.t, quiet, np.gradient(quiet, self.t, axis=0), shaken, around)
 
 

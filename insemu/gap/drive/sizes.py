@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from insemu.effects import EFFECTS, Column, FixGeometry, Motion
 from insemu.gap.beliefs.nominal import Nominal
@@ -82,7 +82,9 @@ def likeliest_size(left: Callable[[float], float], column: Column) -> float:
     grid = np.linspace(math.log(0.1 * column.scale), column.power * math.log(parameter.most), SIZES)
     k = int(np.argmin([left(math.exp(x)) for x in grid]))
     around = (grid[max(k - 1, 0)], grid[min(k + 1, SIZES - 1)])
-    best = minimize_scalar(lambda x: left(math.exp(x)), bounds=around, method="bounded", options={"xatol": SIZE_REL})
+    best = scipy.optimize.minimize_scalar(
+        lambda x: left(math.exp(x)), bounds=around, method="bounded", options={"xatol": SIZE_REL}
+    )
     return math.exp(float(best.x))
 
 

@@ -9,9 +9,9 @@ from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from insemu.compiled import njit
 from insemu.noise import AR, WN, Parameter, Process, StateBlock
 
 Array = NDArray[np.float64]

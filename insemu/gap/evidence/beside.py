@@ -8,9 +8,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
-from scipy.optimize import minimize
 
 from insemu.gap.policy import rules
 
@@ -196,7 +195,7 @@ class AidModel:
         d = self.data
         L = self.root()
         G = d.columns[list(columns)].reshape(len(columns), d.mean.size)
-        z = solve_triangular(L, np.vstack([d.mean.ravel()[None], G]).T, lower=True, check_finite=False)
+        z = scipy.linalg.solve_triangular(L, np.vstack([d.mean.ravel()[None], G]).T, lower=True, check_finite=False)
         base = -0.5 * float(z[:, 0] @ z[:, 0]) - float(np.log(np.diag(L)).sum())
         return base, z[:, 1:].T @ z[:, 1:], z[:, 1:].T @ z[:, 0]
 
@@ -234,7 +233,9 @@ class AidModel:
     def _predicted(self, L: Array, sizes: Array) -> Array:
         d = self.data
         left = d.mean - np.einsum("k,kmw->mw", sizes, d.columns[list(self.columns)])
-        return np.asarray(solve_triangular(L, left.ravel(), lower=True, check_finite=False).reshape(d.mean.shape))
+        return np.asarray(
+            scipy.linalg.solve_triangular(L, left.ravel(), lower=True, check_finite=False).reshape(d.mean.shape)
+        )
 
     # -- noise --------------------------------------------------------------------------------------------------------------------
 
@@ -281,7 +282,9 @@ class AidModel:
             except np.linalg.LinAlgError:
                 return math.inf
 
-        found = minimize(loss, x, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40, "ftol": 1e-7, "eps": 1e-4})
+        found = scipy.optimize.minimize(
+            loss, x, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40, "ftol": 1e-7, "eps": 1e-4}
+        )
         return self.at(np.asarray(found.x))
 
     def restarted(self) -> AidModel:
@@ -436,5 +439,5 @@ def log_factor(A: Array, b: Array, sd: Array) -> float:
     if not sd.size:
         return 0.0
     L = np.linalg.cholesky(sd[:, None] * A * sd + np.eye(sd.size))
-    z = solve_triangular(L, sd * b, lower=True, check_finite=False)
+    z = scipy.linalg.solve_triangular(L, sd * b, lower=True, check_finite=False)
     return 0.5 * float(z @ z) - float(np.log(np.diag(L)).sum())

@@ -13,8 +13,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 from insemu.gap.evidence import kernels
 from insemu.gap.policy import rules
@@ -185,8 +185,8 @@ def recursive_residuals(y: Array, U: Array, variance: float) -> tuple[Array, Arr
         S = V @ U[rows].T
         S[np.diag_indices_from(S)] += variance
         L = np.linalg.cholesky(S)
-        gain = solve_triangular(L, V, lower=True, check_finite=False)
-        out[rows] = solve_triangular(L, y[rows] - U[rows] @ z, lower=True, check_finite=False)
+        gain = scipy.linalg.solve_triangular(L, V, lower=True, check_finite=False)
+        out[rows] = scipy.linalg.solve_triangular(L, y[rows] - U[rows] @ z, lower=True, check_finite=False)
         logs[rows] = np.log(np.diag(L))
         z += gain.T @ out[rows]
         P -= gain.T @ gain

@@ -7,8 +7,9 @@ sum shows, which makes transitions smaller by a third and changes nothing.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from insemu.compiled import njit
 
 Array = NDArray[np.float64]
 

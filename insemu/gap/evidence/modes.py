@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy import optimize
 
 from insemu.gap.policy import rules
 
@@ -423,7 +423,7 @@ def laplace(log_posterior: Callable[[Array], float], x0: Array, free: Sequence[F
             out[i] = (cost(x0 + unit * moved) - here) / (moved[i] - z[i])
         return here, out
 
-    minimize: Any = optimize.minimize
+    minimize: Any = scipy.optimize.minimize
     options = {"maxiter": 60, "ftol": 1e-9}
     result = minimize(sloped, np.zeros(x0.size), jac=True, method="L-BFGS-B", bounds=limits, options=options)
     x, best = x0 + unit * np.asarray(result.x, dtype=np.float64), float(result.fun)

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from insemu.compiled import njit
 from insemu.gap.evidence.modes import Free
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ White 1982, Econometrica 50: variance of an estimate under a wrong model. Kent 1
 from __future__ import annotations
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from insemu.gap.policy import rules
 
@@ -49,5 +49,5 @@ def excess(shape: Array, left: Array, t: Array, variance: float) -> float:
             continue
         # as many stretches alike would vary as much
         alike = total**2 / float(information @ information)
-        out = max(out, float(score @ score) / total * alike / float(chi2.isf(rules().doubt, alike)))
+        out = max(out, float(score @ score) / total * alike / float(scipy.stats.chi2.isf(rules().doubt, alike)))
     return out

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from insemu.compiled import njit
 from insemu.gap.evidence.error_kernels import carried
 from insemu.gap.evidence.lanes import LANES, add, div, load, mul, spread, store, sub
 

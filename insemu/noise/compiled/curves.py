@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import cfunc, njit, types
+from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
+
+from insemu.compiled import cfunc, njit
 
 Array = NDArray[np.float64]
 
@@ -34,7 +36,7 @@ __all__ = ["SIGNATURE", "STEP", "call", "callback_of", "compiled", "evaluate"]
 
 def compiled(function: Callable[..., None]) -> Any:
     """Compile a plain function of :data:`SIGNATURE`; its ``address`` is what kernels take."""
-    return cfunc(SIGNATURE, cache=True)(function)
+    return cfunc(SIGNATURE)(function)
 
 
 def callback_of(curve: Callable[[Array, Array], Array]) -> tuple[int, object]:

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numba import carray, njit
+import scipy  # whose parts are imported when they are used
+from numba import carray
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg
 
+from insemu.compiled import njit
 from insemu.errors import InputError, nearest, shown
 from insemu.noise.block import StateBlock
 from insemu.noise.chain import sections, slower
@@ -398,7 +399,7 @@ class ARMA(Process):
         drive = np.zeros(n)
         drive[: q + 1] = self._polynomials()[1]
         Q = np.outer(drive, drive) * self.parameters["sigma2"]
-        P0 = linalg.solve_discrete_lyapunov(Phi, Q)
+        P0 = scipy.linalg.solve_discrete_lyapunov(Phi, Q)
         names = tuple(f"{self.symbol}.{i + 1}" for i in range(n))
         return StateBlock(names, Phi, Q, np.eye(n)[0], np.asarray(0.5 * (P0 + P0.T), dtype=np.float64), 0.0, dt)
 
@@ -409,7 +410,7 @@ class ARMA(Process):
         self.require_stationary()
         Phi, drive, c = sections(self.poles, np.ones(1))
         Q = np.outer(drive, drive) * self.parameters["sigma2"]
-        P0 = np.asarray(linalg.solve_discrete_lyapunov(Phi[0], Q), dtype=np.float64)
+        P0 = np.asarray(scipy.linalg.solve_discrete_lyapunov(Phi[0], Q), dtype=np.float64)
         names = tuple(f"{self.symbol}.{i + 1}" for i in range(len(self.ar)))
         return StateBlock(names, Phi[0], Q, c, 0.5 * P0 + 0.5 * P0.T, 0.0, dt)
 

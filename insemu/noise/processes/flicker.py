@@ -9,8 +9,8 @@ from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy import optimize, special
 
 from insemu.errors import InputError
 from insemu.noise.block import StateBlock
@@ -78,7 +78,7 @@ class BI(Process):
 
     def psd(self, f: ArrayLike, dt: float) -> Array:  # noqa: D102
         x = np.asarray(f, dtype=np.float64) * dt
-        folded = special.zeta(3.0, x) + special.zeta(3.0, 1.0 - x)  # aliases of f^-1 sinc^2
+        folded = scipy.special.zeta(3.0, x) + scipy.special.zeta(3.0, 1.0 - x)  # aliases of f^-1 sinc^2
         return np.asarray(self.parameters["B"] ** 2 * dt / (2.0 * np.pi**3) * np.sin(np.pi * x) ** 2 * folded)
 
     def __post_init__(self) -> None:
@@ -127,7 +127,7 @@ class BI(Process):
         m = np.maximum(np.round(taus / fine), 1.0)
         curves = np.stack([2.0 * first_order_wavelet(fine / t, m) for t in times], axis=1)
         flat = float(self.allan_variance(1, 1.0))
-        weights, _ = optimize.nnls(curves, np.ones(taus.size))
+        weights, _ = scipy.optimize.nnls(curves, np.ones(taus.size))
         error = float(np.max(np.abs(curves @ weights - 1.0)))
         parts = tuple(GM(math.sqrt(w * flat), 1.0 / t) for w, t in zip(weights, times, strict=True) if w > 0)
         return NoiseModel(parts), error

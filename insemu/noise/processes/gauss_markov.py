@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numba import carray, njit
+from numba import carray
 from numpy.typing import ArrayLike, NDArray
 
+from insemu.compiled import njit
 from insemu.errors import InputError
 from insemu.noise.block import StateBlock
 from insemu.noise.compiled import draws

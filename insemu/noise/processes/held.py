@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numba import carray, njit
+from numba import carray
 from numpy.typing import ArrayLike, NDArray
 
+from insemu.compiled import njit
 from insemu.noise.block import StateBlock
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import Process, counts, of_structure

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numba import carray, njit
+import scipy  # whose parts are imported when they are used
+from numba import carray
 from numpy.typing import ArrayLike, NDArray
-from scipy import special
 
+from insemu.compiled import njit
 from insemu.noise.block import StateBlock
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import Process
@@ -64,7 +65,7 @@ class GM2(Process):
         a, variance = p["beta"] * dt, p["sigma"] ** 2
         Phi = math.exp(-a) * np.array([[1.0 + a, a], [-a, 1.0 - a]])
         # I - Phi Phi', where 1 - (1 + u + u^2 / 2) exp(-u) with u = 2 a is an incomplete gamma function: no digit cancels
-        driven, mixed = float(special.gammainc(3.0, 2.0 * a)), 2.0 * a**2 * math.exp(-2.0 * a)
+        driven, mixed = float(scipy.special.gammainc(3.0, 2.0 * a)), 2.0 * a**2 * math.exp(-2.0 * a)
         Q = variance * np.array([[driven, mixed], [mixed, driven + 4.0 * a * math.exp(-2.0 * a)]])
         return StateBlock(("GM2", "GM2.rate"), Phi, Q, np.array([1.0, 0.0]), variance * np.eye(2), 0.0, dt)
 
