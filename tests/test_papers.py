@@ -6,9 +6,11 @@ import math
 from pathlib import Path
 
 import pytest
+import yaml
 
 from benchmarks.papers.__main__ import main
 from benchmarks.papers.exhibit import Cell, Content, Statement
+from insemu.scenario import load
 from tests.shared_data import shared
 
 GOOD, BAD = Cell("a", 1.0, 1.1, 0.9, 1.3), Cell("b", 1.0, 2.0, 1.5, 2.5)
@@ -58,3 +60,13 @@ def test_papers_whose_numbers_are_absent_are_skipped_and_said(tmp_path: Path, mo
     main()
     said = capsys.readouterr().out
     assert "skipped, its printed numbers are not in" in said and "0 of 0 exhibits" in said
+
+
+def test_the_scenario_of_table_3_has_the_printed_numbers_the_way_round_that_the_text_means() -> None:
+    table = yaml.safe_load(shared("published/stebler2014.yaml").read_text(encoding="utf-8"))
+    printed = table["table_3_mean_planimetric_error_at_outage_end_m"]
+    published = load("table3_synthetic").published
+    assert published is not None and published.planimetric_end_m is not None
+    assert {name.replace(" ", "_"): list(row) for name, row in published.planimetric_end_m.items()} == printed
+    gains = [1.0 - printed["model_3"][outage] / printed["model_2"][outage] for outage in (1, 2)]
+    assert gains == pytest.approx([0.28, 0.52], abs=0.005)

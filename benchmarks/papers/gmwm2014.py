@@ -152,9 +152,9 @@ def figure_3(task: Task) -> Content:
 def table_3(task: Task) -> Content:
     run = scenario_run("scenarios/table3_synthetic.yaml")
     cells = []
-    for outage, row in task.printed["table_3_mean_planimetric_error_at_outage_end_m"].items():
-        for name, printed in row.items():
-            values = run.end[name.replace("_", " ")][:, int(outage) - 1]
+    for name, row in task.printed["table_3_mean_planimetric_error_at_outage_end_m"].items():
+        for outage, printed in enumerate(row, 1):
+            values = run.end[name.replace("_", " ")][:, outage - 1]
             error = 2.0 * values.std(ddof=1) / math.sqrt(len(values))
             mean = float(values.mean())
             cells.append(Cell(f"outage {outage}, {name}", printed, mean, mean - error, mean + error, "m"))
