@@ -2,9 +2,8 @@
 
     python -m benchmarks.papers [--out results/papers] [--only mems2013] [--full] [--seed 1]
 
-Quick parts only by default; ``--full`` takes more draws and flies the scenarios of the tables of outages. Finished parts are kept in the
-folder: an interrupted run goes on, and a part that changed is made again. The printed numbers are read from the shared
-data (``INSEMU_SHARED``, else ``../shared``).
+``--full`` takes more draws. Finished parts are kept in the folder: an interrupted run goes on, and a part that changed is made again. The
+printed numbers are read from the shared data (``INSEMU_SHARED``, else ``../shared``).
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ import yaml
 from benchmarks.papers import em2011, gmwm2014, mems2013, ml2016, platform2016, runs
 from benchmarks.papers import exhibit as exhibits
 from benchmarks.papers.exhibit import EXHIBITS, PAPERS, Content, Exhibit, Task
+from benchmarks.papers.words import Claim, claims
 from insemu.report import page
 from insemu.work import Lines, run_items
 
@@ -117,22 +117,43 @@ def section(exhibit: Exhibit, content: Content) -> page.Section:
     return page.Section(f"{exhibit.label}: {exhibit.title}", blocks)
 
 
+def in_words(claimed: dict[str, list[Claim]]) -> tuple[page.Section, list[str]]:
+    """What the papers claim in words of their own cells: on the page, and as the command prints it."""
+    blocks: list[page.Block] = [
+        page.Text(
+            "Each claim in words is computed from the printed cells it speaks of. It contradicts them where a figure is outside of what the "
+            "words allow: the rounding of a claimed number, more where a word stands."
+        )
+    ]
+    printed = []
+    for paper, found in claimed.items():
+        wrong = [c for c in found if not c.follows]
+        caption = f"{PAPERS[paper]}: {len(found) - len(wrong)} of {len(found)} claims follow from the printed figures"
+        rows = [[c.says, c.where, c.measured, c.verdict, c.note] for c in found]
+        blocks.append(page.Table(["claim", "where", "from the cells", "", ""], rows, caption, left=5))
+        printed += [caption, *(f"    {'' if c.follows else '! '}{c.says}: {c.measured}, {c.verdict}" for c in found)]
+    return page.Section("Claims in words", blocks), printed
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", default="results/papers", help="folder for page and finished parts")
     parser.add_argument(
         "--only", default="", help="papers or labels that contain this text, such as mems2013 or 'Table 2'"
     )
-    parser.add_argument("--full", action="store_true", help="more draws, and the tables of outages")
+    parser.add_argument("--full", action="store_true", help="more draws")
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args()
     folder = Path(args.out)
     folder.mkdir(parents=True, exist_ok=True)
     runs.FOLDER = folder
     shared = Path(os.environ.get("INSEMU_SHARED", "../shared"))
-    chosen = [e for e in EXHIBITS if args.only in e.key and (args.full or not e.long)]
-    later = [e for e in EXHIBITS if args.only in e.key and e.long and not args.full]
+    chosen = [e for e in EXHIBITS if args.only in e.key]
     items = {}
+    claimed = {}
+    for paper in PAPERS:
+        if args.only in f"{paper}/Claims in words" and (numbers := printed_numbers(shared, paper)) is not None:
+            claimed[paper] = claims(paper, numbers)
     for e in chosen:
         printed = printed_numbers(shared, e.paper)
         if printed is None:
@@ -153,13 +174,19 @@ def main() -> None:
         print("\n".join(lines(exhibit, made.content)), end="\n\n")
         sections.append(section(exhibit, made.content))
         verdicts.append([PAPERS[exhibit.paper], exhibit.label, made.content.verdict, f"{made.seconds:.0f} s"])
-    verdicts += [[PAPERS[e.paper], e.label, "not made: needs --full", ""] for e in later]
+    if claimed:
+        words, said = in_words(claimed)
+        print("\n".join(said), end="\n\n")
+        sections.insert(0, words)
     overview = page.Section(
         "Verdicts", [page.Table(["paper", "exhibit", "verdict", "made in"], verdicts, left=3), page.Items(LEFT_OUT)]
     )
     target = folder / "index.html"
     count = sum(m.content.verdict.startswith("reproduced") for m in done.values())
     answer = f"{count} of {len(done)} exhibits reproduced, in kind or to the cell"
+    found = [c for some in claimed.values() for c in some]
+    if found:
+        answer += f"; {sum(not c.follows for c in found)} of {len(found)} claims in words contradict their own figures"
     page.render(
         "The five papers, cell by cell",
         [overview, *sections],

@@ -92,7 +92,6 @@ def figure_3(task: Task) -> Content:
     "em2011",
     "Figures 8 and 9",
     "Outages of 20 and 130 s with a tactical IMU: the manufacturer's model and the one by EM",
-    long=True,
 )
 def figure_8(task: Task) -> Content:
     run = scenario_run("scenarios/outages_smoothed.yaml")

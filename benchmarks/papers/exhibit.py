@@ -117,7 +117,6 @@ class Exhibit:
     label: str
     title: str
     make: Callable[[Task], Content]
-    long: bool
 
     @property
     def key(self) -> str:
@@ -127,13 +126,11 @@ class Exhibit:
 EXHIBITS: list[Exhibit] = []
 
 
-def exhibit(
-    paper: str, label: str, title: str, *, long: bool = False
-) -> Callable[[Callable[[Task], Content]], Callable[[Task], Content]]:
-    """Enter a function among the exhibits; ``long`` ones are made with ``--full`` only."""
+def exhibit(paper: str, label: str, title: str) -> Callable[[Callable[[Task], Content]], Callable[[Task], Content]]:
+    """Enter a function among the exhibits."""
 
     def enter(make: Callable[[Task], Content]) -> Callable[[Task], Content]:
-        EXHIBITS.append(Exhibit(paper, label, title, make, long))
+        EXHIBITS.append(Exhibit(paper, label, title, make))
         return make
 
     return enter

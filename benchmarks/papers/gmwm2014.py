@@ -96,20 +96,21 @@ def figure_2(task: Task) -> Content:
     for sensor in UNIT:
         x = model(task, sensor).simulate(500_000, 1.0 / RATE, task.draws(1, 1)[0])
         taper = average_octaves(psd(x, RATE, method="multitaper"), RATE)
-        ratios = []
-        for wavelet in ("haar", "d6"):
-            level = octave_psd(wavelet_variance(x, RATE, filter=wavelet))
-            use = level.edof > 200
-            at = [int(np.argmin(np.abs(np.log(taper.f_hz / f)))) for f in level.f_hz[use]]
-            ratios.append(np.abs(level.psd[use] / taper.psd[at] - 1.0).max())
-        said.append(
+        levels = {w: octave_psd(wavelet_variance(x, RATE, filter=w)) for w in ("haar", "d6")}
+        use = levels["d6"].f_hz[levels["d6"].edof > 200]
+        haar, d6 = (np.interp(np.log(use), np.log(level.f_hz), np.log(level.psd)) for level in levels.values())
+        taken = np.array([math.log(taper.psd[np.argmin(np.abs(np.log(taper.f_hz / f)))]) for f in use])
+        off = [100.0 * float(np.abs(np.expm1(x)).max()) for x in (haar - d6, haar - taken, d6 - taken)]
+        said += [
+            Statement(f"{sensor}: Haar and D(6) agree at all frequencies", f"within {off[0]:.0f} %", off[0] < 10.0),
             Statement(
-                f"{sensor}: the octave levels agree",
-                f"Haar within {100 * ratios[0]:.0f} %, D(6) within {100 * ratios[1]:.0f} % of the multitaper's",
-                bool(ratios[1] < 0.2),
-            )
-        )
-    return Content(statements=said, because="levels differ")
+                f"{sensor}: slopes read off D(6) are those of the multitaper",
+                f"D(6) within {off[2]:.0f} % of the multitaper's octaves, Haar within {off[1]:.0f} %",
+                off[2] < 10.0,
+            ),
+        ]
+    why = "the Haar filter leaks where the spectrum is steep, as that of the accelerometer under reading (b): slopes are to be read off D(6)"
+    return Content(statements=said, because=why)
 
 
 @exhibit(
@@ -147,14 +148,13 @@ def figure_3(task: Task) -> Content:
     "gmwm2014",
     "Table III",
     "Mean planimetric error at the end of three outages, three models; Figures 7 to 9",
-    long=True,
 )
 def table_3(task: Task) -> Content:
     run = scenario_run("scenarios/table3_synthetic.yaml")
     cells = []
-    for outage, row in task.printed["table_3_mean_planimetric_error_at_outage_end_m"].items():
-        for name, printed in row.items():
-            values = run.end[name.replace("_", " ")][:, int(outage) - 1]
+    for name, row in task.printed["table_3_mean_planimetric_error_at_outage_end_m"].items():
+        for outage, printed in enumerate(row, 1):
+            values = run.end[name.replace("_", " ")][:, outage - 1]
             error = 2.0 * values.std(ddof=1) / math.sqrt(len(values))
             mean = float(values.mean())
             cells.append(Cell(f"outage {outage}, {name}", printed, mean, mean - error, mean + error, "m"))

@@ -227,9 +227,7 @@ def drives() -> tuple:
     return scenario_run("scenarios/tables_9_10.yaml"), scenario_run("scenarios/tables_9_10.yaml", "drive_2")
 
 
-@exhibit(
-    "mems2013", "Tables 9 and 10", "Horizontal errors of five designs in seven outages; Figures 21 to 26", long=True
-)
+@exhibit("mems2013", "Tables 9 and 10", "Horizontal errors of five designs in seven outages; Figures 21 to 26")
 def tables_9_10(task: Task) -> Content:
     printed = task.printed["tables_9_and_10_horizontal_error_m"]
     parts = [
@@ -260,7 +258,7 @@ def tables_9_10(task: Task) -> Content:
     return Content([c for p in parts for c in p], said, why, "2.5 to 97.5 % of 24 drives of ours")
 
 
-@exhibit("mems2013", "Table 6", "Levels of de-noising before a filter without error models", long=True)
+@exhibit("mems2013", "Table 6", "Levels of de-noising before a filter without error models")
 def table_6(task: Task) -> Content:
     run = scenario_run("scenarios/table_6_denoising.yaml")
     names = {"lod_0": "no de-noising", "lod_3": "3 levels", "lod_7": "7 levels"}
