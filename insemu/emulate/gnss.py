@@ -136,12 +136,18 @@ def state_at(trajectory: Trajectory, t: ArrayLike) -> tuple[Array, Array, Array,
     at_end = u[:, 0] == 1.0
     llh[at_end], v[at_end] = trajectory.llh[k[at_end] + 1], v1[at_end]
 
-    q = rotation.quaternion_from_rpy(trajectory.rpy)
+    # rates at a node are those of the intervals beside it
+    last = nodes.size - 2
+    before, after = np.maximum(k - 1, 0), np.minimum(k + 1, last)
+    needed = np.zeros(nodes.size, dtype=bool)
+    for row in (before, k, after):
+        needed[row] = needed[row + 1] = True
+    at, q = np.cumsum(needed) - 1, rotation.quaternion_from_rpy(trajectory.rpy[needed])
     turn = rotation.vector_from_quaternion(rotation.quaternion_product(rotation.quaternion_conjugate(q[:-1]), q[1:]))
-    rate = turn / np.diff(nodes)[:, None]
-    node_rate = np.concatenate([rate[:1], 0.5 * (rate[1:] + rate[:-1]), rate[-1:]])
-    attitude = rotation.quaternion_product(q[k], rotation.quaternion_from_vector(u * turn[k]))
-    w = node_rate[k] * (1 - u) + node_rate[k + 1] * u
+    rate = turn / np.diff(nodes[needed])[:, None]
+    here = rate[at[k]]
+    attitude = rotation.quaternion_product(q[at[k]], rotation.quaternion_from_vector(u * turn[at[k]]))
+    w = 0.5 * (rate[at[before]] + here) * (1 - u) + 0.5 * (here + rate[at[after]]) * u
     return llh, v, attitude, w
 
 

@@ -151,13 +151,13 @@ def analysable(experiment: Experiment, *, removes_means: bool = False) -> tuple[
     able: list[str] = []
     left_out: dict[str, str] = {}
     for name, design in s.designs.items():
-        if not isinstance(experiment.filter(name), LooselyCoupledEKF):
+        if not isinstance(ekf := experiment.filter(name), LooselyCoupledEKF):
             left_out[name] = "a user's filter"
         elif design.options.prefilter is not None:
             left_out[name] = "a prefilter"
-        elif experiment.ekf(name).augmentation.laws:
+        elif ekf.augmentation.laws:
             left_out[name] = "levels that follow a covariate"
-        elif experiment.ekf(name).augmentation.thermal:
+        elif ekf.augmentation.thermal:
             left_out[name] = "states that follow the temperature"
         else:
             able.append(name)

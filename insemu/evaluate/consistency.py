@@ -133,16 +133,18 @@ def nees_per_dof(errors: Array, covariance: Array, *, full: bool = False) -> Arr
     variance = np.einsum("nii->ni", covariance)
     known = np.isfinite(errors).all(axis=1) & np.isfinite(variance).all(axis=1)
     live = variance > 0.0
-    for pattern in np.unique(live[known], axis=0) if known.any() else ():
+    while known.any():
+        pattern = live[np.argmax(known)]
         rows = known & (live == pattern).all(axis=1)
-        if pattern.any():
-            e, P = errors[rows][:, pattern], covariance[rows][:, pattern][:, :, pattern]
-            sd = np.sqrt(np.einsum("nii->ni", P))
-            last = P[-1] / np.outer(sd[-1], sd[-1])
-            if np.linalg.eigvalsh(last)[0] > SINGULAR:
-                out[rows] = nees(e, P) / pattern.sum()
-            if full or np.linalg.eigvalsh(last)[0] > SINGULAR:
-                continue
+        known &= ~rows
+        if not pattern.any():
+            continue
+        whole = rows.all() and pattern.all()  # nothing is left out, and nothing copied
+        e, P = (errors, covariance) if whole else (errors[rows][:, pattern], covariance[rows][:, pattern][:, :, pattern])
+        sd = np.sqrt(np.einsum("nii->ni", P))
+        if np.linalg.eigvalsh(P[-1] / np.outer(sd[-1], sd[-1]))[0] > SINGULAR:
+            out[rows] = nees(e, P) / pattern.sum()
+        elif not full:
             values, vectors = np.linalg.eigh(P / (sd[:, :, None] * sd[:, None, :]))
             free = values > SINGULAR
             seen = np.einsum("nij,ni->nj", vectors, e / sd) ** 2

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -77,19 +78,28 @@ class CovarianceAnalysis:
         Of the filter; the analysis speaks of its nine navigation errors.
     t : (o,) array
         Epochs, s.
-    actual : (o, 9, 9) array
-        Mean-square error matrix of the navigation errors.
     believed : (o, 9, 9) array
-        The filter's own covariance at the same epochs.
+        The filter's own covariance at these epochs.
     budgets : tuple of Budget
         One per epoch asked for.
+    system : JointSystem
+        Errors, estimates and true states.
+    start : (9 + m, 9 + m) array
+        Their covariance at the first row of the IMU.
     """
 
     layout: StateLayout
     t: Array
-    actual: Array
     believed: Array
     budgets: tuple[Budget, ...]
+    system: JointSystem
+    start: Array
+
+    @cached_property
+    def actual(self) -> Array:
+        """Mean-square error matrix of the navigation errors, (o, 9, 9); a budget needs none of it."""
+        rows = np.searchsorted(self.system.imu.t, self.t).astype(np.int64)
+        return self.system.covariance(self.start, rows)[:, :9, :9]
 
     @property
     def rms(self) -> Array:
@@ -198,11 +208,10 @@ def analyse(
     sigma0 = (true_sigma or believed_sigma).to_array()
     P0 = np.zeros((9 + joint.m,) * 2)
     P0[:9, :9], P0[9:, 9:] = np.diag(sigma0**2), joint.P0
-    actual = system.covariance(P0, rows)[:, :9, :9]
     believed = run.covariance[np.searchsorted(run.covariance_t, t[rows])][:, :9, :9]
     sources = _sources(truth, true_aug, ekf.augmentation.m)
     budgets = tuple(_budget(system, when, budget_states, ekf.layout, sigma0, sources) for when in budget_at)
-    return CovarianceAnalysis(ekf.layout, t[rows], actual, believed, budgets)
+    return CovarianceAnalysis(ekf.layout, t[rows], believed, budgets, system, P0)
 
 
 def on_ideal_data(
@@ -309,21 +318,19 @@ def updates(
         var[:, :3] = np.broadcast_to(np.asarray(true_sigma[0], dtype=np.float64), (3,)) ** 2
         var[:, 3:] = np.broadcast_to(np.asarray(true_sigma[1], dtype=np.float64), (3,)) ** 2
     used = np.asarray(np.isfinite(fixes.innovation), dtype=np.bool_)
-    noise = np.zeros((f, 6, 6))
+    noise = np.where(used, var, 0.0)[:, :, None] * np.eye(6)
     l0, l1, l2 = ekf.lever_arm
     cross = np.array([[0.0, -l2, l1], [l2, 0.0, -l0], [-l1, l0, 0.0]])
-    sensed = np.hstack(joint.sensed(imu))
-    for k in range(f):
-        noise[k] = np.diag(np.where(used[k], var[k], 0.0))
-        X = -rotation.dcm_from_quaternion(nav[fixes.epoch[k], 6:10]) @ cross
-        e = int(fixes.epoch[k])
-        C = joint.output(sensed[e] / (imu.t[e] - imu.t[e - 1]))
-        Hz[k][:, 9 + installed] = fixes.H[k][:, 9 + installed]
-        # rate errors in the velocity of the arm: true minus estimated sensor error, as u in the loop
-        Hz[k, 3:, 9:] += -X @ C[:3]
-        Hz[k, :3, 9:] += events.tau[k] * X @ C[:3]
-        shift = 0.5 - min(events.tau[k] / ekf.dt, 1.0)
-        noise[k, 3:, 3:] += ((1 + shift) ** 2 + shift**2) * (X * joint.white[:3]) @ X.T
+    e, tau = fixes.epoch, events.tau[:, None, None]
+    sensed = np.hstack([part[e] for part in joint.sensed(imu)]) / (imu.t[e] - imu.t[e - 1])[:, None]
+    X = -rotation.dcm_from_quaternion(nav[e, 6:10]) @ cross
+    Hz[:, :, 9 + installed] = fixes.H[:, :, 9 + installed]
+    # rate errors in the velocity of the arm: true minus estimated sensor error, as u in the loop
+    turned = X @ joint.output(sensed)[..., :3, :]
+    Hz[:, 3:, 9:] -= turned
+    Hz[:, :3, 9:] += tau * turned
+    shift = 0.5 - np.minimum(tau / ekf.dt, 1.0)
+    noise[:, 3:, 3:] += ((1 + shift) ** 2 + shift**2) * (X * joint.white[:3]) @ X.transpose(0, 2, 1)
     Hz *= used[:, :, None]
     return np.eye(n) - K @ Hz, K, noise
 

@@ -39,6 +39,8 @@ ROW, SHORT_ROW = 38, 26
 LEGEND_ROOM = 0.4
 #: Part of an axis that is left free for the labels of bars.
 ROOM = 0.12
+#: Digits and sign of an exponent.
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 #: Charts from which on processes draw them: one takes a second, a process starts in two where it is not forked.
 MANY = 4
 
@@ -115,17 +117,27 @@ def draw_view(axes: Axes, chart: Chart, view: View) -> None:
             axes.margins(y=ROOM)
     if chart.equal:
         axes.set_aspect("equal", adjustable="datalim")
+    axes.set(xlabel=chart.x_label, ylabel=view.y_label)
+    axes.get_yticklabels()  # which makes their common factor
     title = textwrap.fill(view.name, SHORT_ROW if slanted else ROW, break_on_hyphens=False)
-    axes.set(xlabel=chart.x_label, ylabel=view.y_label, title=title)
+    # to look for a free place above the axes takes a quarter of a drawing, and only the factor of the labels stands there
+    axes.set_title(title, y=None if axes.yaxis.get_offset_text().get_text() else 1.0, va="bottom")
 
 
 def _few_ticks(axes: Axes) -> None:
-    """No minor ticks on a logarithmic axis of two decades or more, where the decades say enough: they are most of the time of a drawing."""
+    """Decades alone on a logarithmic axis of two or more, which say enough, as plain text: other ticks and formulas are most of a drawing's time."""
     for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
         if axis.get_scale() == "log" and high >= 100.0 * low > 0.0:
-            from matplotlib.ticker import NullLocator
+            from matplotlib.ticker import FuncFormatter, NullLocator
 
             axis.set_minor_locator(NullLocator())
+            axis.set_major_formatter(FuncFormatter(_power_of_ten))
+
+
+def _power_of_ten(value: float, place: int | None = None) -> str:
+    """A decade as text; nothing for other numbers."""
+    decade = math.log10(value)
+    return "10" + f"{decade:.0f}".translate(RAISED) if abs(decade - round(decade)) < 1e-6 else ""
 
 
 def _named_ticks(axes: Axes, ticks: Sequence[tuple[float, str]]) -> bool:
@@ -181,7 +193,8 @@ def pictures(chart: Chart) -> dict[str, bytes]:
     out = {}
     with style():
         figure.set_dpi(DPI)
-        figure.draw_without_rendering()  # which lays it out
+        if (layout := figure.get_layout_engine()) is not None:
+            layout.execute(figure)
         with pyplot().rc_context({"figure.constrained_layout.use": False}):
             figure.set_layout_engine(None)  # else every picture would be drawn twice, to be laid out again
         for kind in ("png", "svg"):
