@@ -51,8 +51,8 @@ class _Buffers:
     nu: Array
     S: Array
     nis: Array
-    dof: NDArray[np.int64]
-    ok: NDArray[np.int64]
+    dof: Array
+    ok: Array
     epoch: NDArray[np.int64]
     K: Array
     H: Array
@@ -107,16 +107,14 @@ class _Buffers:
 
     def passed(self, side_by_side: bool) -> dict[str, Any]:
         """As compiled code takes them."""
-        return {
-            k: lanes.lanes_of(v) if side_by_side and v.dtype.kind == "f" else v for k, v in vars(self).items()
-        }
+        return {k: lanes.lanes_of(v) if side_by_side and v.dtype.kind == "f" else v for k, v in vars(self).items()}
 
     @classmethod
     def flown(cls, f: gpu.Flown, events: Events) -> _Buffers:
         """Those of a flight on a GPU, which stores no nodes."""
         none = np.zeros((0, 0))
         return cls(
-            f.nav, f.var, f.x, f.nu, f.S, f.nis, f.dof, f.ok, events.epoch.copy(), none, none, f.covariance,
+            f.nav, f.var, f.x, f.nu, f.S, f.nis, f.dof.astype(float), f.ok.astype(float), events.epoch.copy(), none, none, f.covariance,
             np.zeros(0, dtype=np.int64), none, none, none, none, none, none, f.last,
         )  # fmt: skip
 
@@ -134,7 +132,16 @@ class _Buffers:
         stored = o.store == "fixes"
         K, H = (self.K, self.H) if stored else (None, None)
         fixes = FixTable(
-            events.t, self.epoch, events.kind, self.nu, self.S, self.nis, self.dof.astype(np.int64), self.ok.astype(bool), K, H
+            events.t,
+            self.epoch,
+            events.kind,
+            self.nu,
+            self.S,
+            self.nis,
+            self.dof.astype(np.int64),
+            self.ok.astype(bool),
+            K,
+            H,
         )
         at = self.node_at[:nodes]
         kept = (v[:nodes] for v in (self.node_nav, self.node_x, self.before, self.after, self.phi, self.node_dx))
@@ -386,7 +393,15 @@ class LooselyCoupledEKF:
         o, events, (lever_at, latency_at) = self.options, flight.events, self.installation()
         around, cov_epoch = steps_around(self.dt) if lever_at >= 0 else 0, self.covariance_epochs(flight.t)
         design = gpu.Design(
-            self.augmentation, self._gravity, self.lever_arm, lever_at, around, o, self.thresholds(), flight.t, cov_epoch
+            self.augmentation,
+            self._gravity,
+            self.lever_arm,
+            lever_at,
+            around,
+            o,
+            self.thresholds(),
+            flight.t,
+            cov_epoch,
         )
         if not self.gpu.takes(design, latency_at, events):
             return None

@@ -23,7 +23,7 @@ FIX = 0
 
 @njit(cache=True, nogil=True)
 def first_bad_pivot(P: Array, L: Array) -> float:
-    """Index of the first state that makes ``P`` not positive semidefinite (to 1e-9 of its variance), -1 where there is none; ``L`` is working space."""
+    """Index of the first state that makes ``P`` not positive semidefinite (to 1e-9 of its variance), or -1; ``L`` is working space."""
     n = P.shape[0]
     bad = -1.0
     for j in range(n):
