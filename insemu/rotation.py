@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.compiled import njit
+from insemu.lanes import any_of, where
 
 Array = NDArray[np.float64]
 
@@ -160,13 +161,22 @@ def attitude_difference(rpy: ArrayLike, reference_rpy: ArrayLike) -> Array:
 @njit(cache=True, nogil=True)
 def scalar_half_trig(phi2: float) -> tuple[float, float]:
     """``(cos(phi/2), sin(phi/2)/phi)`` of a squared angle, by series to rounding where the angle is below 0.14 rad."""
-    if phi2 < 0.02:
-        x = 0.25 * phi2
-        c = 1.0 - x * (0.5 - x * (1.0 / 24.0 - x * (1.0 / 720.0 - x / 40320.0)))
-        s = 0.5 * (1.0 - x * (1.0 / 6.0 - x * (1.0 / 120.0 - x * (1.0 / 5040.0 - x / 362880.0))))
-        return c, s
-    angle = math.sqrt(phi2)
-    return math.cos(0.5 * angle), math.sin(0.5 * angle) / angle
+    x = 0.25 * phi2
+    c = 1.0 - x * (0.5 - x * (1.0 / 24.0 - x * (1.0 / 720.0 - x / 40320.0)))
+    s = 0.5 * (1.0 - x * (1.0 / 6.0 - x * (1.0 / 120.0 - x * (1.0 / 5040.0 - x / 362880.0))))
+    if any_of(phi2 >= 0.02):
+        angle = math.sqrt(max(phi2, 0.02))
+        c = where(phi2 >= 0.02, math.cos(0.5 * angle), c)
+        s = where(phi2 >= 0.02, math.sin(0.5 * angle) / angle, s)
+    return c, s
+
+
+@njit(cache=True, nogil=True)
+def scalar_wrapped(angle: float) -> float:
+    """An angle of less than 3 pi within plus and minus pi, rad."""
+    if any_of(abs(angle) > math.pi):
+        angle = angle - where(angle > math.pi, 2.0 * math.pi, where(angle < -math.pi, -2.0 * math.pi, 0.0))
+    return angle
 
 
 @njit(cache=True, nogil=True)

@@ -28,8 +28,9 @@ from insemu import earth, rotation
 from insemu.compiled import njit
 from insemu.earth import E2, RATE, scalar_gravity, scalar_gravity_slopes, scalar_radii
 from insemu.errors import InputError
+from insemu.lanes import any_of, where
 from insemu.records import ImuRecord, Trajectory
-from insemu.rotation import scalar_half_trig
+from insemu.rotation import scalar_half_trig, scalar_wrapped
 
 Array = NDArray[np.float64]
 
@@ -117,13 +118,13 @@ def step(
 
     # velocity increment in the body axes of the start of the interval
     a2 = rx * rx + ry * ry + rz * rz
-    if a2 < 0.02:
-        k1 = 0.5 - a2 * (1.0 / 24.0 - a2 * (1.0 / 720.0 - a2 * (1.0 / 40320.0 - a2 / 3628800.0)))
-        k2 = 1.0 / 6.0 - a2 * (1.0 / 120.0 - a2 * (1.0 / 5040.0 - a2 * (1.0 / 362880.0 - a2 / 39916800.0)))
-    else:
-        angle = math.sqrt(a2)
-        k1 = (1.0 - math.cos(angle)) / a2
-        k2 = (angle - math.sin(angle)) / (a2 * angle)
+    k1 = 0.5 - a2 * (1.0 / 24.0 - a2 * (1.0 / 720.0 - a2 * (1.0 / 40320.0 - a2 / 3628800.0)))
+    k2 = 1.0 / 6.0 - a2 * (1.0 / 120.0 - a2 * (1.0 / 5040.0 - a2 * (1.0 / 362880.0 - a2 / 39916800.0)))
+    if any_of(a2 >= 0.02):
+        large = max(a2, 0.02)
+        angle = math.sqrt(large)
+        k1 = where(a2 >= 0.02, (1.0 - math.cos(angle)) / large, k1)
+        k2 = where(a2 >= 0.02, (angle - math.sin(angle)) / (large * angle), k2)
     xx, xy, xz = ry * uz - rz * uy, rz * ux - rx * uz, rx * uy - ry * ux
     sx = ux + k1 * xx + k2 * (ry * xz - rz * xy) + c * (py * uz - pz * uy + wy * az - wz * ay)
     sy = uy + k1 * xy + k2 * (rz * xx - rx * xz) + c * (pz * ux - px * uz + wz * ax - wx * az)
@@ -158,11 +159,7 @@ def step(
     if nav.size > NAV_SIZE:
         nav[10], nav[11], nav[12] = dlat - (lat1 - lat), dlon - (lon1 - lon), dh - (h1 - h)
     nav[0] = lat1
-    if lon1 > math.pi:
-        lon1 -= 2.0 * math.pi
-    elif lon1 < -math.pi:
-        lon1 += 2.0 * math.pi
-    nav[1] = lon1
+    nav[1] = scalar_wrapped(lon1)
     nav[2] = h1
     nav[3], nav[4], nav[5] = vn1, ve1, vd1
 
@@ -187,7 +184,8 @@ def step(
     ry = qy + (qw * dy - qx * dz + qy * less + qz * dx)
     rz = qz + (qw * dz + qx * dy - qy * dx + qz * less)
     short = 0.5 * (1.0 - (rw * rw + rx * rx + ry * ry + rz * rz))  # one Newton step to unit length
-    if abs(short) > 1e-15:
+    if any_of(abs(short) > 1e-15):
+        short = where(abs(short) > 1e-15, short, 0.0)
         rw, rx, ry, rz = rw + short * rw, rx + short * rx, ry + short * ry, rz + short * rz
     nav[6], nav[7], nav[8], nav[9] = rw, rx, ry, rz
 
@@ -276,15 +274,11 @@ def fill_dynamics(nav: Array, f_n: Array, gravity: int, f: Array) -> None:
     f[3, 4], f[3, 5] = od, -oe
     f[4, 3], f[4, 5] = -od, on
     f[5, 3], f[5, 4] = oe, -on
-    for column, dn, de, dd in (
-        (0, 2.0 * en_n + tn_n, te_n, 2.0 * ed_n + td_n),
-        (2, tn_d, te_d, td_d),
-        (3, 0.0, te_vn, 0.0),
-        (4, tn_ve, 0.0, td_ve),
-    ):
-        f[3, column] -= de * vd - dd * ve
-        f[4, column] -= dd * vn - dn * vd
-        f[5, column] -= dn * ve - de * vn
+    dn, dd = 2.0 * en_n + tn_n, 2.0 * ed_n + td_n
+    f[3, 0], f[4, 0], f[5, 0] = dd * ve - te_n * vd, dn * vd - dd * vn, te_n * vn - dn * ve
+    f[3, 2], f[4, 2], f[5, 2] = td_d * ve - te_d * vd, tn_d * vd - td_d * vn, te_d * vn - tn_d * ve
+    f[3, 3], f[5, 3] = -te_vn * vd, f[5, 3] + te_vn * vn
+    f[3, 4], f[4, 4], f[5, 4] = f[3, 4] + td_ve * ve, tn_ve * vd - td_ve * vn, f[5, 4] - tn_ve * ve
     g_lat, g_h = scalar_gravity_slopes(sl, cl, h, gravity)
     f[5, 0] += g_lat * m
     f[5, 2] -= g_h

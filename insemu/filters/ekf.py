@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,12 +11,13 @@ import numpy as np
 import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
 
-from insemu import earth
-from insemu.augment import Augmentation, Belief, StateLayout, augment
+from insemu import earth, lanes
+from insemu.augment import Belief, StateLayout, augment
 from insemu.errors import InputError
-from insemu.filters import expanded, following, gpu, kernel
+from insemu.filters import following, gpu, kernel
 from insemu.filters.events import FIX_ROWS, SAME_TIME, Events, GnssSigma, aid_events, fix_events, joined
 from insemu.filters.options import FilterOptions, InitialSigma, three_sigmas
+from insemu.filters.packed import pack
 from insemu.filters.results import FilterResult, FixTable, Nodes
 from insemu.records import AidRecord, GnssRecord, ImuRecord, Trajectory
 from insemu.strapdown import NavState
@@ -42,122 +42,6 @@ def steps_around(dt: float) -> int:
 
 
 @dataclass(frozen=True)
-class Packed:
-    """The augmentation in the compiled loop's slots."""
-
-    place: NDArray[np.int64]
-    slots: int
-    diagonal: bool
-    d: Array
-    phi: Array
-    offsets: NDArray[np.int64]
-    mix: Array
-    q_at: NDArray[np.int64]
-    q: Array
-    q_law: NDArray[np.int64]
-    time_at: NDArray[np.int64]
-    time_law: NDArray[np.int64]
-    time_of: Array
-
-
-def pack(aug: Augmentation, powers: int) -> Packed:
-    """Lay an augmentation out in slots, with the transitions over 1 to ``powers`` samples."""
-    lanes = np.where(aug.axis >= 0, aug.axis, 0)
-    slot = np.zeros(aug.m, dtype=np.int64)
-    used = np.zeros(6, dtype=np.int64)
-    for s in np.nonzero(aug.axis >= 0)[0]:
-        slot[s] = used[lanes[s]]
-        used[lanes[s]] += 1
-    slots = int(used.max(initial=0))
-    loose = np.nonzero(aug.axis < 0)[0]  # no axis sees them: one more slot, any lanes
-    for i, s in enumerate(loose):
-        slot[s], lanes[s] = slots + i // 6, i % 6
-    slots += -(-loose.size // 6)
-    if slots > expanded.MAX_SLOTS:
-        raise InputError(f"an axis carries {slots} states, expected at most {expanded.MAX_SLOTS}")
-    place = np.concatenate([np.arange(9), expanded.FIRST + 8 * slot + lanes]).astype(np.int64)
-    extra = place[9:]
-    coupled = (aug.Phi != 0) & (lanes[:, None] != lanes[None, :])
-    if coupled.any():
-        raise InputError("states of different axes are coupled in Phi, expected independent axes")
-    diagonal = not (aug.Phi - np.diag(np.diag(aug.Phi))).any()
-    d = np.ones((powers, expanded.LD))
-    phi = np.zeros((powers, max(slots, 1), max(slots, 1), 8))
-    Qs = np.zeros((powers, aug.m, aug.m))
-    for p in range(powers):
-        Phi, Qs[p] = aug.power(p + 1)
-        d[p, extra] = np.diag(Phi)
-        for i, j in zip(*np.nonzero(Phi), strict=True):
-            phi[p, slot[i], slot[j], lanes[i]] = Phi[i, j]
-    far = {0} | {int(a - b) for a, b in np.argwhere((phi != 0).any(axis=(0, 3)))}
-    offsets = np.array(sorted(far, key=lambda o: (o != 0, o)), dtype=np.int64)
-    mix = np.zeros((powers, offsets.size, expanded.LD))
-    for row, o in enumerate(sorted(far, key=lambda o: (o != 0, o))):
-        for k in range(max(o, 0), min(slots, slots + o)):
-            at = expanded.FIRST + 8 * k
-            mix[:, row, at : at + 8] = phi[:, k, k - o]
-    rows, columns = np.nonzero((Qs != 0).any(axis=0))
-    return Packed(
-        place,
-        slots,
-        diagonal,
-        d,
-        phi,
-        offsets,
-        mix,
-        extra[rows] * expanded.LD + extra[columns],
-        np.ascontiguousarray(Qs[:, rows, columns]),
-        aug.law_of[rows] if aug.laws else np.zeros(0, dtype=np.int64),
-        *_following_times(aug, powers, (slot, lanes, extra), phi[0].shape, offsets, (rows, columns)),
-    )
-
-
-def _following_times(
-    aug: Augmentation,
-    powers: int,
-    lain: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
-    shape: tuple[int, ...],
-    offsets: NDArray[np.int64],
-    driven: tuple[NDArray[np.intp], NDArray[np.intp]],
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Places in d, phi, mix and q one after the other of what follows correlation times, their laws and values: see :func:`kernel.run`.
-
-    Parameters
-    ----------
-    aug, powers
-        As of :func:`pack`.
-    lain : tuple of (m,) arrays of int
-        Slot, lane and row of the expanded covariance of every state.
-    shape : tuple of int
-        Of phi.
-    offsets : (k,) array of int
-        Distances of slots that mix.
-    driven : tuple of (l,) arrays of int
-        Rows and columns of the entries of q.
-    """
-    slot, lanes, row = lain
-    mix_from = expanded.LD + math.prod(shape)
-    q_from = mix_from + offsets.size * expanded.LD
-    places: list[int] = []
-    laws: list[int] = []
-    values: list[Array] = []
-    for first, law, F, V in following.tables(aug, powers):
-        for i, j in np.ndindex(F.shape[2:]):
-            a, b = first + i, first + j
-            own = [q_from + int(k) for k in np.flatnonzero((driven[0] == a) & (driven[1] == b))]
-            given = [V[:, :, i, j]] * len(own)
-            offset = np.flatnonzero(offsets == slot[a] - slot[b])
-            if offset.size and F[:, :, i, j].any():
-                moved = [expanded.LD + int(np.ravel_multi_index((slot[a], slot[b], lanes[a]), shape))]
-                moved += [mix_from + int(offset[0]) * expanded.LD + int(row[a])]
-                moved += [int(row[a])] if i == j else []
-                own, given = own + moved, given + [F[:, :, i, j]] * len(moved)
-            places, laws, values = places + own, laws + [law] * len(own), values + given
-    table = np.ascontiguousarray(np.stack(values, axis=2)) if values else np.zeros((1, 1, 0))
-    return np.array(places, dtype=np.int64), np.array(laws, dtype=np.int64), table
-
-
-@dataclass(frozen=True)
 class _Buffers:
     """Arrays that the compiled loop fills."""
 
@@ -167,8 +51,8 @@ class _Buffers:
     nu: Array
     S: Array
     nis: Array
-    dof: NDArray[np.int64]
-    ok: NDArray[np.int64]
+    dof: Array
+    ok: Array
     epoch: NDArray[np.int64]
     K: Array
     H: Array
@@ -183,27 +67,54 @@ class _Buffers:
     last: Array
 
     @classmethod
-    def of(cls, n: int, epochs: int, o: FilterOptions, events: Events, covariances: int, nodes: int) -> _Buffers:
-        """Arrays for ``n`` states, so many epochs, whole covariances and nodes beside those of fixes."""
+    def of(
+        cls,
+        n: int,
+        epochs: int,
+        o: FilterOptions,
+        events: Events,
+        covariances: int,
+        nodes: int,
+        *,
+        side_by_side: bool = False,
+    ) -> _Buffers:
+        """Arrays for ``n`` states, so many epochs, whole covariances and nodes beside those of fixes; of lanes for several realizations."""
         f, w = events.z.shape
         stored = o.store == "fixes"
         rows = o.rows(epochs).size
         kept, g = (nodes + f, f) if stored else (0, 1)
         m = n - 9
-        before, after, phi = (np.empty((kept, n, n)) for _ in range(3))
+
+        def room(*shape: int) -> Array:
+            return lanes.empty((*shape, lanes.LANES)) if side_by_side else np.empty(shape)
+
+        nu, S, nis, dof, ok = room(f, w), room(f, w, w), room(f), room(f), room(f)
+        K, H = room(g, n, w), room(g, w, n)
+        for values in (nu, S, nis, K, H):
+            values.fill(np.nan)
+        for values in (dof, ok):
+            values.fill(0.0)
+        before, after, phi = (room(kept, n, n) for _ in range(3))
         return cls(
-            np.empty((rows, 10)), np.empty((rows, n)), np.empty((rows, m)), np.full((f, w), np.nan), np.full((f, w, w), np.nan),
-            np.full(f, np.nan), np.zeros(f, dtype=np.int64), np.zeros(f, dtype=np.int64), events.epoch.copy(), np.full((g, n, w), np.nan),
-            np.full((g, w, n), np.nan), np.empty((covariances, n, n)), np.zeros(kept, dtype=np.int64), np.empty((kept, 10)),
-            np.empty((kept, m)), np.empty((kept, n)), before, after, phi, np.empty((n, n)),
+            room(rows, 10), room(rows, n), room(rows, m), nu, S, nis, dof, ok, events.epoch.copy(), K, H, room(covariances, n, n),
+            np.zeros(kept, dtype=np.int64), room(kept, 10), room(kept, m), room(kept, n), before, after, phi, room(n, n),
         )  # fmt: skip
+
+    def of_lane(self, lane: int) -> _Buffers:
+        """Those of one realization of several."""
+        of_float = {k: np.ascontiguousarray(v[..., lane]) for k, v in vars(self).items() if v.dtype.kind == "f"}
+        return replace(self, **of_float)
+
+    def passed(self, side_by_side: bool) -> dict[str, Any]:
+        """As compiled code takes them."""
+        return {k: lanes.lanes_of(v) if side_by_side and v.dtype.kind == "f" else v for k, v in vars(self).items()}
 
     @classmethod
     def flown(cls, f: gpu.Flown, events: Events) -> _Buffers:
         """Those of a flight on a GPU, which stores no nodes."""
         none = np.zeros((0, 0))
         return cls(
-            f.nav, f.var, f.x, f.nu, f.S, f.nis, f.dof, f.ok, events.epoch.copy(), none, none, f.covariance,
+            f.nav, f.var, f.x, f.nu, f.S, f.nis, f.dof.astype(float), f.ok.astype(float), events.epoch.copy(), none, none, f.covariance,
             np.zeros(0, dtype=np.int64), none, none, none, none, none, none, f.last,
         )  # fmt: skip
 
@@ -221,7 +132,16 @@ class _Buffers:
         stored = o.store == "fixes"
         K, H = (self.K, self.H) if stored else (None, None)
         fixes = FixTable(
-            events.t, self.epoch, events.kind, self.nu, self.S, self.nis, self.dof, self.ok.astype(bool), K, H
+            events.t,
+            self.epoch,
+            events.kind,
+            self.nu,
+            self.S,
+            self.nis,
+            self.dof.astype(np.int64),
+            self.ok.astype(bool),
+            K,
+            H,
         )
         at = self.node_at[:nodes]
         kept = (v[:nodes] for v in (self.node_nav, self.node_x, self.before, self.after, self.phi, self.node_dx))
@@ -239,6 +159,26 @@ class _Buffers:
             epochs=t.size - 1,
             seconds=seconds,
         )
+
+
+@dataclass(frozen=True)
+class _Flight:
+    """One record as the compiled loop takes it; shapes as in :func:`insemu.filters.kernel.run`."""
+
+    t: Array
+    gyro: Array
+    accel: Array
+    powers: Array
+    nav: Array
+    x0: Array
+    P0: Array
+    events: Events
+
+    @property
+    def times(self) -> tuple[bytes, ...]:
+        """The same for flights that can fly side by side."""
+        e = self.events
+        return tuple(v.tobytes() for v in (self.t, e.t, e.epoch, e.kind, e.since, e.tau, e.settings))
 
 
 class LooselyCoupledEKF:
@@ -290,6 +230,7 @@ class LooselyCoupledEKF:
             )
         )
         self._packed = pack(self.augmentation, self.options.covariance_every)
+        self._side_by_side = pack(self.augmentation, self.options.covariance_every, side_by_side=True)
         self._belief = belief
         #: Where flights are flown that it can fly; None: here.
         self.gpu: gpu.Gpu | None = None
@@ -374,47 +315,152 @@ class LooselyCoupledEKF:
             A record with another rate, no standard deviations for the fixes, navigation that diverges, or a covariance that is not positive
             semidefinite (the message names the state).
         """
+        flight = self._prepared(imu, gnss, initial, initial_sigma, aids, initial_states)
+        (out,) = self._on_gpu(flight) or self._fly([flight], side_by_side=False)
+        if isinstance(out, InputError):
+            raise out
+        return out
+
+    def run_many(
+        self,
+        imus: Sequence[ImuRecord],
+        gnsses: Sequence[GnssRecord | None],
+        initials: Sequence[NavState | Trajectory],
+        initial_sigma: InitialSigma | ArrayLike,
+        *,
+        aids: Sequence[Sequence[AidRecord]] | None = None,
+        initial_states: Sequence[ArrayLike | None] | None = None,
+    ) -> list[FilterResult | InputError]:
+        """Filter several records of the same times, :data:`~insemu.lanes.LANES` at a time in the lanes of the processor's vectors.
+
+        A record's numbers are the same to the bit whichever others fly beside it, and those of :meth:`run` to rounding. Records whose times or
+        whose measurements' times, kinds and settings differ fly apart from each other; where the latency is a state, each by itself.
+
+        Parameters
+        ----------
+        imus, gnsses, initials : sequences of ImuRecord, GnssRecord or None, NavState or Trajectory
+            As in :meth:`run`, one for each realization.
+        initial_sigma : InitialSigma or (n, n) covariance
+            Of all.
+        aids, initial_states : sequences, optional
+            As in :meth:`run`, one for each realization.
+
+        Returns
+        -------
+        list of FilterResult or InputError
+            What went wrong with one is returned in its place; the others are not touched by it.
+        """
+        out: dict[int, FilterResult | InputError] = {}
+        alike: dict[tuple[Any, ...], list[tuple[int, _Flight]]] = {}
+        for k, given in enumerate(zip(imus, gnsses, initials, strict=True)):
+            beside = () if aids is None else aids[k], None if initial_states is None else initial_states[k]
+            try:
+                flight = self._prepared(*given, initial_sigma, *beside)
+            except InputError as error:
+                out[k] = error
+                continue
+            alike.setdefault((k,) if self.installation()[1] >= 0 else flight.times, []).append((k, flight))
+        for same in alike.values():
+            for first in range(0, len(same), lanes.LANES):
+                part = same[first : first + lanes.LANES]
+                flights = [flight for _, flight in part]
+                by_itself = self._on_gpu(flights[0]) if len(flights) == 1 else None
+                flown = by_itself or self._fly(flights, side_by_side=self.installation()[1] < 0)
+                out |= dict(zip((k for k, _ in part), flown, strict=True))
+        return [out[k] for k in range(len(imus))]
+
+    def _prepared(
+        self,
+        imu: ImuRecord,
+        gnss: GnssRecord | None,
+        initial: NavState | Trajectory,
+        initial_sigma: InitialSigma | ArrayLike,
+        aids: Sequence[AidRecord],
+        initial_states: ArrayLike | None,
+    ) -> _Flight:
+        """A record as the compiled loop takes it; arguments as of :meth:`run`."""
         record, nav, x0 = self.checked(imu, initial, initial_states)
-        o, a, p, t = self.options, self.augmentation, self._packed, record.t
         P0 = self.initial_covariance(initial_sigma, imu, nav)
-        events = self.events(t, gnss, aids)
-        lever_at, latency_at = self.installation()
+        gyro, accel = self.augmentation.sensed(record)
+        powers = following.powers(self.augmentation, imu)
+        return _Flight(record.t, gyro, accel, powers, nav, x0, P0, self.events(record.t, gnss, aids))
+
+    def _on_gpu(self, flight: _Flight) -> list[FilterResult | InputError] | None:
+        """The result of a flight on the GPU; None where there is no GPU or it does not take the flight."""
+        if self.gpu is None:
+            return None
+        started = time.perf_counter()
+        o, events, (lever_at, latency_at) = self.options, flight.events, self.installation()
+        around, cov_epoch = steps_around(self.dt) if lever_at >= 0 else 0, self.covariance_epochs(flight.t)
+        design = gpu.Design(
+            self.augmentation,
+            self._gravity,
+            self.lever_arm,
+            lever_at,
+            around,
+            o,
+            self.thresholds(),
+            flight.t,
+            cov_epoch,
+        )
+        if not self.gpu.takes(design, latency_at, events):
+            return None
+        imu = np.hstack([flight.gyro, flight.accel])
+        flown = self.gpu.fly(design, gpu.Flight(imu, flight.nav, flight.x0, flight.P0, events))
+        wrong = self._wrong(flown.code, flown.detail)
+        b = _Buffers.flown(flown, events)
+        return [wrong or b.result(self.layout, flight.t, o, events, cov_epoch, 0, time.perf_counter() - started)]
+
+    def _fly(self, flights: Sequence[_Flight], *, side_by_side: bool) -> list[FilterResult | InputError]:
+        """Flights of the same times through the compiled loop: one as numbers, or up to :data:`~insemu.lanes.LANES` in lanes."""
+        started = time.perf_counter()
+        o, a, (lever_at, latency_at) = self.options, self.augmentation, self.installation()
+        t, events = flights[0].t, flights[0].events
         cov_epoch = self.covariance_epochs(t)
         node_epoch = self._node_epochs(t, cov_epoch, events, moving=latency_at >= 0)
-        gyro, accel = a.sensed(record)
-        started = time.perf_counter()
-        if self.gpu is not None:
-            around = steps_around(self.dt) if lever_at >= 0 else 0
-            design = gpu.Design(a, self._gravity, self.lever_arm, lever_at, around, o, self.thresholds(), t, cov_epoch)
-            if self.gpu.takes(design, latency_at, events):
-                flown = self.gpu.fly(design, gpu.Flight(np.hstack([gyro, accel]), nav, x0, P0, events))
-                self._check(flown.code, flown.detail)
-                b = _Buffers.flown(flown, events)
-                return b.result(self.layout, t, o, events, cov_epoch, 0, time.perf_counter() - started)
-        b = _Buffers.of(self.layout.n, t.size, o, events, cov_epoch.size, node_epoch.size)
-        code, detail = kernel.run(
-            t, gyro, accel, np.concatenate([nav, np.zeros(3)]), x0, P0, p.place, a.axis, a.c, a.driver, p.slots, p.diagonal,
-            p.d, p.phi, p.offsets, p.mix, p.q_at, p.q, p.q_law, p.time_at, p.time_law, p.time_of,
-            following.powers(a, imu),
+        b = _Buffers.of(self.layout.n, t.size, o, events, cov_epoch.size, node_epoch.size, side_by_side=side_by_side)
+        status = np.zeros((2, lanes.LANES) if side_by_side else 2)
+        filled = [*flights, *[flights[0]] * (lanes.LANES - len(flights))] if side_by_side else flights
+
+        def stacked(values: Iterable[Array]) -> Any:
+            return lanes.stacked(list(values)) if side_by_side else next(iter(values))
+
+        def rows(values: Iterable[Array]) -> Any:
+            return tuple(values) if side_by_side else next(iter(values))
+
+        p = self._side_by_side if side_by_side else self._packed
+        d, phi, mix, q = (lanes.spread(v) if side_by_side else v for v in (p.d, p.phi, p.mix, p.q))
+        v = b.passed(side_by_side)
+        stored = kernel.run(
+            t, rows(f.gyro for f in filled), rows(f.accel for f in filled), stacked(np.concatenate([f.nav, np.zeros(3)]) for f in filled),
+            stacked(f.x0 for f in filled), stacked(f.P0 for f in filled), p.place, a.axis, a.c, a.driver, p.slots, p.diagonal,
+            d, phi, p.offsets, mix, p.q_at, q, p.q_law, p.time_at, p.time_law, p.time_of, rows(f.powers for f in filled),
             following.of_speed(a), a.white_of, a.white, self._gravity, self.lever_arm, lever_at, latency_at,
             self.thresholds(events.z.shape[1]), o.gate_timeout, o.covariance_every, o.output_every, trend_window(self.dt), steps_around(self.dt),
             SAME_TIME * self.dt,
-            events.first_of, events.next_alike, events.t, events.epoch, events.kind, events.since, events.tau, events.z, events.var,
-            events.settings, cov_epoch, node_epoch, o.store == "fixes", b.nav, b.var, b.x, b.nu, b.S, b.nis, b.dof, b.ok, b.epoch, b.K, b.H,
-            b.P, b.node_at, b.node_nav, b.node_x, b.before, b.after, b.phi, b.node_dx, b.last,
+            events.first_of, events.next_alike, events.t, events.epoch, events.kind, events.since, events.tau,
+            stacked(f.events.z for f in filled), stacked(f.events.var for f in filled), events.settings, cov_epoch, node_epoch,
+            o.store == "fixes", v["nav"], v["var"], v["x"], v["nu"], v["S"], v["nis"], v["dof"], v["ok"], v["epoch"], v["K"], v["H"],
+            v["P"], v["node_at"], v["node_nav"], v["node_x"], v["before"], v["after"], v["phi"], v["node_dx"], v["last"],
+            lanes.lanes_of(status) if side_by_side else status,
         )  # fmt: skip
-        seconds = time.perf_counter() - started
-        self._check(code, detail)
-        return b.result(self.layout, t, o, events, cov_epoch, detail, seconds)
+        seconds = (time.perf_counter() - started) / len(flights)
+        out: list[FilterResult | InputError] = []
+        for lane, flight in enumerate(flights):
+            wrong = self._wrong(*(status[:, lane] if side_by_side else status).astype(int))
+            own = b.of_lane(lane) if side_by_side else b
+            out.append(wrong or own.result(self.layout, t, o, flight.events, cov_epoch, stored, seconds))
+        return out
 
-    def _check(self, code: int, detail: int) -> None:
-        """Say what the loop stopped at."""
+    def _wrong(self, code: int, detail: int) -> InputError | None:
+        """What the loop stopped at, if anything."""
         if code == 1:
-            raise InputError(f"the covariance is not positive semidefinite at the state '{self.layout.names[detail]}'")
+            return InputError(f"the covariance is not positive semidefinite at the state '{self.layout.names[detail]}'")
         if code == 2:
-            raise InputError(f"the innovation covariance is not positive definite in component {detail}")
+            return InputError(f"the innovation covariance is not positive definite in component {detail}")
         if code == 3:
-            raise InputError("navigation diverged (the states are not finite); is the IMU record in rad/s and m/s^2?")
+            return InputError("navigation diverged (the states are not finite); is the IMU record in rad/s and m/s^2?")
+        return None
 
     def checked(
         self, imu: ImuRecord, initial: NavState | Trajectory, initial_states: ArrayLike | None

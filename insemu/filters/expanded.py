@@ -21,10 +21,14 @@ Loops over columns run from 0 over views: only then does the compiler know that 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numba.extending import overload
 from numpy.typing import NDArray
 
 from insemu.compiled import njit
+from insemu.lanes import any_of, lanes
 from insemu.rotation import scalar_dcm
 
 Array = NDArray[np.float64]
@@ -39,7 +43,22 @@ MAX_SLOTS = 14
 #: Length of the coefficients that :func:`fill_map` writes.
 MAP_SIZE = 46
 
+#: Row length, first row of the augmented states and width of a slot: of numbers, and of lanes, whose rows need not be whole vectors.
+GRID, LANES_GRID = (LD, FIRST, 8), (U + 6 + 6 * MAX_SLOTS, U + 6, 6)
+
 _FAST = {"contract"}  # fused multiply-add only: nothing that changes how NaN behaves
+
+
+def grid(E: Array) -> tuple[int, int, int]:
+    """Row length, first row of the augmented states and width of a slot of an expanded covariance; in compiled code."""
+    raise NotImplementedError
+
+
+@overload(grid, strict=False)
+def _grid(E: Any) -> Any:
+    if E.dtype == lanes:
+        return lambda E: LANES_GRID
+    return lambda E: GRID
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -116,6 +135,7 @@ def apply_map(w: Array, half: float, E: Array, columns: int) -> None:
     columns : int
         How many columns.
     """
+    ld, _, _ = grid(E)
     a01, a02, a10, a12, a20, a21 = w[0], w[1], w[2], w[3], w[4], w[5]
     b00, b10, b20, b02, b12, b22 = w[6], w[7], w[8], w[9], w[10], w[11]
     d10, d01, d21 = w[12], w[13], w[14]
@@ -125,11 +145,11 @@ def apply_map(w: Array, half: float, E: Array, columns: int) -> None:
     g00, g10, g20, g02, g12, g22 = w[35], w[36], w[37], w[38], w[39], w[40]
     p00, p02, p10, p11, p12 = w[41], w[42], w[43], w[44], w[45]
     for j in range(columns):
-        pn, pe, pd = E[j], E[LD + j], E[2 * LD + j]
-        vn, ve, vd = E[3 * LD + j], E[4 * LD + j], E[5 * LD + j]
-        an, ae, ad = E[6 * LD + j], E[7 * LD + j], E[8 * LD + j]
-        gx, gy, gz = E[9 * LD + j], E[10 * LD + j], E[11 * LD + j]
-        ax, ay, az = E[12 * LD + j], E[13 * LD + j], E[14 * LD + j]
+        pn, pe, pd = E[j], E[ld + j], E[2 * ld + j]
+        vn, ve, vd = E[3 * ld + j], E[4 * ld + j], E[5 * ld + j]
+        an, ae, ad = E[6 * ld + j], E[7 * ld + j], E[8 * ld + j]
+        gx, gy, gz = E[9 * ld + j], E[10 * ld + j], E[11 * ld + j]
+        ax, ay, az = E[12 * ld + j], E[13 * ld + j], E[14 * ld + j]
         an1 = an + a01 * ae + a02 * ad + b00 * pn + b02 * pd + d01 * ve + c00 * gx + c01 * gy + c02 * gz
         ae1 = ae + a10 * an + a12 * ad + b10 * pn + b12 * pd + d10 * vn + c10 * gx + c11 * gy + c12 * gz
         ad1 = ad + a20 * an + a21 * ae + b20 * pn + b22 * pd + d21 * ve + c20 * gx + c21 * gy + c22 * gz
@@ -138,77 +158,82 @@ def apply_map(w: Array, half: float, E: Array, columns: int) -> None:
         ve1 = e10 * vn + e11 * ve + e12 * vd + g10 * pn + g12 * pd - fz * sn + fx * sd + c10 * ax + c11 * ay + c12 * az
         vd1 = vd + e20 * vn + e21 * ve + g20 * pn + g22 * pd - fy * sn - fx * se + c20 * ax + c21 * ay + c22 * az
         E[j] = p00 * pn + p02 * pd + half * (vn + vn1)
-        E[LD + j] = p10 * pn + p11 * pe + p12 * pd + half * (ve + ve1)
-        E[2 * LD + j] = pd + half * (vd + vd1)
-        E[3 * LD + j], E[4 * LD + j], E[5 * LD + j] = vn1, ve1, vd1
-        E[6 * LD + j], E[7 * LD + j], E[8 * LD + j] = an1, ae1, ad1
+        E[ld + j] = p10 * pn + p11 * pe + p12 * pd + half * (ve + ve1)
+        E[2 * ld + j] = pd + half * (vd + vd1)
+        E[3 * ld + j], E[4 * ld + j], E[5 * ld + j] = vn1, ve1, vd1
+        E[6 * ld + j], E[7 * ld + j], E[8 * ld + j] = an1, ae1, ad1
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
-def columns_of(slots: int) -> int:
-    """Columns of the augmented states, filled up with zeros to whole vector iterations; a shorter rest would run one by one."""
-    return 16 * ((slots + 1) // 2)
+def columns_of(E: Array, slots: int) -> int:
+    """Columns of the augmented states; of numbers filled up with zeros to whole vector iterations: a shorter rest would run one by one."""
+    wide = grid(E)[2]
+    return 16 * ((slots + 1) // 2) if wide == 8 else wide * slots
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _scale_rows(E: Array, d: Array, slots: int) -> None:
     """Augmented states, each with a transition of its own: rows and columns scaled."""
-    width = columns_of(slots)
-    D, N = d[FIRST:], E[FIRST:]
+    ld, first, wide = grid(E)
+    width = columns_of(E, slots)
+    D, N = d[first:], E[first:]
     for j in range(width):
         x = D[j]
         N[j] *= x
-        N[LD + j] *= x
-        N[2 * LD + j] *= x
-        N[3 * LD + j] *= x
-        N[4 * LD + j] *= x
-        N[5 * LD + j] *= x
-        N[6 * LD + j] *= x
-        N[7 * LD + j] *= x
-        N[8 * LD + j] *= x
+        N[ld + j] *= x
+        N[2 * ld + j] *= x
+        N[3 * ld + j] *= x
+        N[4 * ld + j] *= x
+        N[5 * ld + j] *= x
+        N[6 * ld + j] *= x
+        N[7 * ld + j] *= x
+        N[8 * ld + j] *= x
     for s in range(slots):
-        r = FIRST + 8 * s
-        R = E[r * LD + FIRST :]
+        r = first + wide * s
+        R = E[r * ld + first :]
         d0, d1, d2, d3, d4, d5 = d[r], d[r + 1], d[r + 2], d[r + 3], d[r + 4], d[r + 5]
         for j in range(width):
             x = D[j]
             R[j] *= d0 * x
-            R[LD + j] *= d1 * x
-            R[2 * LD + j] *= d2 * x
-            R[3 * LD + j] *= d3 * x
-            R[4 * LD + j] *= d4 * x
-            R[5 * LD + j] *= d5 * x
+            R[ld + j] *= d1 * x
+            R[2 * ld + j] *= d2 * x
+            R[3 * ld + j] *= d3 * x
+            R[4 * ld + j] *= d4 * x
+            R[5 * ld + j] *= d5 * x
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _mix_rows(E: Array, phi: Array, slots: int, work: Array) -> None:
     """Augmented states that mix within an axis: ``rows <- Phi rows`` for their own columns; ``phi`` is (slots, slots, 8)."""
-    width = columns_of(slots)
-    for i in range(8 * slots * LD):
-        work[i] = E[FIRST * LD + i]
+    ld, first, wide = grid(E)
+    width = columns_of(E, slots)
+    for i in range(wide * slots):
+        W, R = work[i * ld + first :], E[(first + i) * ld + first :]
+        for j in range(width):
+            W[j] = R[j]
     for s in range(slots):
-        R = E[(FIRST + 8 * s) * LD + FIRST :]
+        R = E[(first + wide * s) * ld + first :]
         p = phi[s, s]
         d0, d1, d2, d3, d4, d5 = p[0], p[1], p[2], p[3], p[4], p[5]
         for j in range(width):
             R[j] *= d0
-            R[LD + j] *= d1
-            R[2 * LD + j] *= d2
-            R[3 * LD + j] *= d3
-            R[4 * LD + j] *= d4
-            R[5 * LD + j] *= d5
+            R[ld + j] *= d1
+            R[2 * ld + j] *= d2
+            R[3 * ld + j] *= d3
+            R[4 * ld + j] *= d4
+            R[5 * ld + j] *= d5
         for k in range(slots):
             p = phi[s, k]
             d0, d1, d2, d3, d4, d5 = p[0], p[1], p[2], p[3], p[4], p[5]
-            if k != s and (d0 != 0.0 or d1 != 0.0 or d2 != 0.0 or d3 != 0.0 or d4 != 0.0 or d5 != 0.0):
-                W = work[8 * k * LD + FIRST :]
+            if k != s and any_of(abs(d0) + abs(d1) + abs(d2) + abs(d3) + abs(d4) + abs(d5) > 0.0):
+                W = work[wide * k * ld + first :]
                 for j in range(width):
                     R[j] += d0 * W[j]
-                    R[LD + j] += d1 * W[LD + j]
-                    R[2 * LD + j] += d2 * W[2 * LD + j]
-                    R[3 * LD + j] += d3 * W[3 * LD + j]
-                    R[4 * LD + j] += d4 * W[4 * LD + j]
-                    R[5 * LD + j] += d5 * W[5 * LD + j]
+                    R[ld + j] += d1 * W[ld + j]
+                    R[2 * ld + j] += d2 * W[2 * ld + j]
+                    R[3 * ld + j] += d3 * W[3 * ld + j]
+                    R[4 * ld + j] += d4 * W[4 * ld + j]
+                    R[5 * ld + j] += d5 * W[5 * ld + j]
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
@@ -217,150 +242,154 @@ def _mix_columns(E: Array, offsets: Ints, mix: Array, slots: int, work: Array) -
 
     Column j takes ``mix[i, j]`` times the old column 8 ``offsets[i]`` before it.
     """
-    width = columns_of(slots)
-    R, W = E[FIRST:], work
+    ld, first, wide = grid(E)
+    width = columns_of(E, slots)
+    R, W = E[first:], work
     for j in range(width):
         W[j] = R[j]
-        W[LD + j] = R[LD + j]
-        W[2 * LD + j] = R[2 * LD + j]
-        W[3 * LD + j] = R[3 * LD + j]
-        W[4 * LD + j] = R[4 * LD + j]
-        W[5 * LD + j] = R[5 * LD + j]
-        W[6 * LD + j] = R[6 * LD + j]
-        W[7 * LD + j] = R[7 * LD + j]
-        W[8 * LD + j] = R[8 * LD + j]
+        W[ld + j] = R[ld + j]
+        W[2 * ld + j] = R[2 * ld + j]
+        W[3 * ld + j] = R[3 * ld + j]
+        W[4 * ld + j] = R[4 * ld + j]
+        W[5 * ld + j] = R[5 * ld + j]
+        W[6 * ld + j] = R[6 * ld + j]
+        W[7 * ld + j] = R[7 * ld + j]
+        W[8 * ld + j] = R[8 * ld + j]
     for i in range(offsets.size):
-        o = 8 * offsets[i]
-        R, W, M = E[FIRST + max(o, 0) :], work[max(-o, 0) :], mix[i, FIRST + max(o, 0) :]
+        o = wide * offsets[i]
+        R, W, M = E[first + max(o, 0) :], work[max(-o, 0) :], mix[i, first + max(o, 0) :]
         if i == 0:  # offset zero comes first and replaces
             for j in range(width):
                 x = M[j]
                 R[j] *= x
-                R[LD + j] *= x
-                R[2 * LD + j] *= x
-                R[3 * LD + j] *= x
-                R[4 * LD + j] *= x
-                R[5 * LD + j] *= x
-                R[6 * LD + j] *= x
-                R[7 * LD + j] *= x
-                R[8 * LD + j] *= x
+                R[ld + j] *= x
+                R[2 * ld + j] *= x
+                R[3 * ld + j] *= x
+                R[4 * ld + j] *= x
+                R[5 * ld + j] *= x
+                R[6 * ld + j] *= x
+                R[7 * ld + j] *= x
+                R[8 * ld + j] *= x
         else:
             for j in range(width - abs(o)):
                 x = M[j]
                 R[j] += x * W[j]
-                R[LD + j] += x * W[LD + j]
-                R[2 * LD + j] += x * W[2 * LD + j]
-                R[3 * LD + j] += x * W[3 * LD + j]
-                R[4 * LD + j] += x * W[4 * LD + j]
-                R[5 * LD + j] += x * W[5 * LD + j]
-                R[6 * LD + j] += x * W[6 * LD + j]
-                R[7 * LD + j] += x * W[7 * LD + j]
-                R[8 * LD + j] += x * W[8 * LD + j]
+                R[ld + j] += x * W[ld + j]
+                R[2 * ld + j] += x * W[2 * ld + j]
+                R[3 * ld + j] += x * W[3 * ld + j]
+                R[4 * ld + j] += x * W[4 * ld + j]
+                R[5 * ld + j] += x * W[5 * ld + j]
+                R[6 * ld + j] += x * W[6 * ld + j]
+                R[7 * ld + j] += x * W[7 * ld + j]
+                R[8 * ld + j] += x * W[8 * ld + j]
     for s in range(slots):
-        b = (FIRST + 8 * s) * LD + FIRST
+        b = (first + wide * s) * ld + first
         R, W = E[b:], work
         for j in range(width):
             W[j] = R[j]
-            W[LD + j] = R[LD + j]
-            W[2 * LD + j] = R[2 * LD + j]
-            W[3 * LD + j] = R[3 * LD + j]
-            W[4 * LD + j] = R[4 * LD + j]
-            W[5 * LD + j] = R[5 * LD + j]
+            W[ld + j] = R[ld + j]
+            W[2 * ld + j] = R[2 * ld + j]
+            W[3 * ld + j] = R[3 * ld + j]
+            W[4 * ld + j] = R[4 * ld + j]
+            W[5 * ld + j] = R[5 * ld + j]
         for i in range(offsets.size):
-            o = 8 * offsets[i]
-            R, W, M = E[b + max(o, 0) :], work[max(-o, 0) :], mix[i, FIRST + max(o, 0) :]
+            o = wide * offsets[i]
+            R, W, M = E[b + max(o, 0) :], work[max(-o, 0) :], mix[i, first + max(o, 0) :]
             if i == 0:
                 for j in range(width):
                     x = M[j]
                     R[j] *= x
-                    R[LD + j] *= x
-                    R[2 * LD + j] *= x
-                    R[3 * LD + j] *= x
-                    R[4 * LD + j] *= x
-                    R[5 * LD + j] *= x
+                    R[ld + j] *= x
+                    R[2 * ld + j] *= x
+                    R[3 * ld + j] *= x
+                    R[4 * ld + j] *= x
+                    R[5 * ld + j] *= x
             else:
                 for j in range(width - abs(o)):
                     x = M[j]
                     R[j] += x * W[j]
-                    R[LD + j] += x * W[LD + j]
-                    R[2 * LD + j] += x * W[2 * LD + j]
-                    R[3 * LD + j] += x * W[3 * LD + j]
-                    R[4 * LD + j] += x * W[4 * LD + j]
-                    R[5 * LD + j] += x * W[5 * LD + j]
+                    R[ld + j] += x * W[ld + j]
+                    R[2 * ld + j] += x * W[2 * ld + j]
+                    R[3 * ld + j] += x * W[3 * ld + j]
+                    R[4 * ld + j] += x * W[4 * ld + j]
+                    R[5 * ld + j] += x * W[5 * ld + j]
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _axis_rows(E: Array, c: Array, slots: int, work: Array) -> None:
     """Rows of the axis errors from the rows of the augmented states, for the columns of the augmented states."""
-    width = columns_of(slots)
+    ld, first, wide = grid(E)
+    width = columns_of(E, slots)
     V = work  # apart from E, so that the loops vectorise
     for j in range(width):
         V[j] = 0.0
-        V[LD + j] = 0.0
-        V[2 * LD + j] = 0.0
-        V[3 * LD + j] = 0.0
-        V[4 * LD + j] = 0.0
-        V[5 * LD + j] = 0.0
+        V[ld + j] = 0.0
+        V[2 * ld + j] = 0.0
+        V[3 * ld + j] = 0.0
+        V[4 * ld + j] = 0.0
+        V[5 * ld + j] = 0.0
     for s in range(slots):
-        r = FIRST + 8 * s
-        R = E[r * LD + FIRST :]
+        r = first + wide * s
+        R = E[r * ld + first :]
         c0, c1, c2, c3, c4, c5 = c[r], c[r + 1], c[r + 2], c[r + 3], c[r + 4], c[r + 5]
         for j in range(width):
             V[j] -= c0 * R[j]
-            V[LD + j] -= c1 * R[LD + j]
-            V[2 * LD + j] -= c2 * R[2 * LD + j]
-            V[3 * LD + j] -= c3 * R[3 * LD + j]
-            V[4 * LD + j] -= c4 * R[4 * LD + j]
-            V[5 * LD + j] -= c5 * R[5 * LD + j]
-    R = E[U * LD + FIRST :]
+            V[ld + j] -= c1 * R[ld + j]
+            V[2 * ld + j] -= c2 * R[2 * ld + j]
+            V[3 * ld + j] -= c3 * R[3 * ld + j]
+            V[4 * ld + j] -= c4 * R[4 * ld + j]
+            V[5 * ld + j] -= c5 * R[5 * ld + j]
+    R = E[U * ld + first :]
     for j in range(width):
         R[j] = V[j]
-        R[LD + j] = V[LD + j]
-        R[2 * LD + j] = V[2 * LD + j]
-        R[3 * LD + j] = V[3 * LD + j]
-        R[4 * LD + j] = V[4 * LD + j]
-        R[5 * LD + j] = V[5 * LD + j]
+        R[ld + j] = V[ld + j]
+        R[2 * ld + j] = V[2 * ld + j]
+        R[3 * ld + j] = V[3 * ld + j]
+        R[4 * ld + j] = V[4 * ld + j]
+        R[5 * ld + j] = V[5 * ld + j]
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _axis_columns(E: Array, c: Array, slots: int) -> None:
     """Covariance of the navigation errors and of the axis errors with the axis errors, both halves, from columns of the augmented states."""
+    ld, first, wide = grid(E)
     for a in range(6):
         n0 = n1 = n2 = n3 = n4 = n5 = n6 = n7 = n8 = 0.0
         u0 = u1 = u2 = u3 = u4 = u5 = 0.0
         for s in range(slots):
-            C = E[FIRST + 8 * s + a :]
-            x = c[FIRST + 8 * s + a]
+            C = E[first + wide * s + a :]
+            x = c[first + wide * s + a]
             n0 -= x * C[0]
-            n1 -= x * C[LD]
-            n2 -= x * C[2 * LD]
-            n3 -= x * C[3 * LD]
-            n4 -= x * C[4 * LD]
-            n5 -= x * C[5 * LD]
-            n6 -= x * C[6 * LD]
-            n7 -= x * C[7 * LD]
-            n8 -= x * C[8 * LD]
-            u0 -= x * C[9 * LD]
-            u1 -= x * C[10 * LD]
-            u2 -= x * C[11 * LD]
-            u3 -= x * C[12 * LD]
-            u4 -= x * C[13 * LD]
-            u5 -= x * C[14 * LD]
+            n1 -= x * C[ld]
+            n2 -= x * C[2 * ld]
+            n3 -= x * C[3 * ld]
+            n4 -= x * C[4 * ld]
+            n5 -= x * C[5 * ld]
+            n6 -= x * C[6 * ld]
+            n7 -= x * C[7 * ld]
+            n8 -= x * C[8 * ld]
+            u0 -= x * C[9 * ld]
+            u1 -= x * C[10 * ld]
+            u2 -= x * C[11 * ld]
+            u3 -= x * C[12 * ld]
+            u4 -= x * C[13 * ld]
+            u5 -= x * C[14 * ld]
         C = E[U + a :]
-        C[0], C[LD], C[2 * LD], C[3 * LD], C[4 * LD] = n0, n1, n2, n3, n4
-        C[5 * LD], C[6 * LD], C[7 * LD], C[8 * LD] = n5, n6, n7, n8
-        C[9 * LD], C[10 * LD], C[11 * LD], C[12 * LD], C[13 * LD], C[14 * LD] = u0, u1, u2, u3, u4, u5
-        R = E[(U + a) * LD :]
+        C[0], C[ld], C[2 * ld], C[3 * ld], C[4 * ld] = n0, n1, n2, n3, n4
+        C[5 * ld], C[6 * ld], C[7 * ld], C[8 * ld] = n5, n6, n7, n8
+        C[9 * ld], C[10 * ld], C[11 * ld], C[12 * ld], C[13 * ld], C[14 * ld] = u0, u1, u2, u3, u4, u5
+        R = E[(U + a) * ld :]
         R[0], R[1], R[2], R[3], R[4], R[5], R[6], R[7], R[8] = n0, n1, n2, n3, n4, n5, n6, n7, n8
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _transpose(E: Array, T: Array) -> None:
     """The nine navigation rows and their first fifteen columns, transposed."""
+    ld, _, _ = grid(E)
     for j in range(15):
-        C, R = E[j:], T[j * LD :]
-        R[0], R[1], R[2], R[3], R[4] = C[0], C[LD], C[2 * LD], C[3 * LD], C[4 * LD]
-        R[5], R[6], R[7], R[8] = C[5 * LD], C[6 * LD], C[7 * LD], C[8 * LD]
+        C, R = E[j:], T[j * ld :]
+        R[0], R[1], R[2], R[3], R[4] = C[0], C[ld], C[2 * ld], C[3 * ld], C[4 * ld]
+        R[5], R[6], R[7], R[8] = C[5 * ld], C[6 * ld], C[7 * ld], C[8 * ld]
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
@@ -406,7 +435,8 @@ def predict(
     T, work : (15 * LD,), (LD * LD,) arrays
         Working space.
     """
-    end = FIRST + columns_of(slots)
+    ld, first, wide = grid(E)
+    end = first + columns_of(E, slots)
     if slots > 0:
         if diagonal:
             _scale_rows(E, d, slots)
@@ -418,14 +448,14 @@ def predict(
         _axis_rows(E, c, slots, work)
     _axis_columns(E, c, slots)
     for a in range(6):
-        E[(U + a) * LD + U + a] += white[a]
+        E[(U + a) * ld + U + a] += white[a]
     apply_map(w, half, E, end)
     _transpose(E, T)
-    apply_map(w, half, T, FIRST)
+    apply_map(w, half, T, first if wide == 8 else 9)
     for i in range(9):
         for j in range(9):
             # of two sums that differ in rounding one is kept
-            E[i * LD + j] = T[i * LD + j] if i < j else T[j * LD + i]
+            E[i * ld + j] = T[i * ld + j] if i < j else T[j * ld + i]
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
@@ -459,16 +489,17 @@ def advance_transition(
     work : ((8 * slots + 10) * LD,) array
         Working space.
     """
-    end = FIRST + columns_of(slots)
+    ld, first, wide = grid(A)
+    end = first + columns_of(A, slots)
     if slots > 0:
         if diagonal:
             for s in range(slots):
                 for lane in range(6):
-                    r = FIRST + 8 * s + lane
+                    r = first + wide * s + lane
                     x = d[r]
-                    if x != 1.0:
-                        for j in range(FIRST, end):
-                            A[r * LD + j] *= x
+                    if any_of(x != 1.0):
+                        for j in range(first, end):
+                            A[r * ld + j] *= x
         else:
             _mix_rows(A, phi, slots, work)
         _axis_rows(A, c, slots, work)
@@ -478,10 +509,11 @@ def advance_transition(
 @njit(cache=True, nogil=True)
 def reset_transition(A: Array, rows: int) -> None:
     """Make the transition the identity."""
-    A[: rows * LD] = 0.0
+    ld, first, _ = grid(A)
+    A[: rows * ld] = 0.0
     for i in range(rows):
-        if i < 9 or i >= FIRST:
-            A[i * LD + i] = 1.0
+        if i < 9 or i >= first:
+            A[i * ld + i] = 1.0
 
 
 @njit(cache=True, nogil=True)
@@ -497,10 +529,11 @@ def gather(E: Array, place: Ints, P: Array) -> None:
     P : (n, n) array
         Overwritten, symmetric.
     """
+    ld, _, _ = grid(E)
     n = place.size
     for i in range(n):
         for j in range(i, n):
-            x = E[place[i] * LD + place[j]]
+            x = E[place[i] * ld + place[j]]
             P[i, j] = x
             P[j, i] = x
 
@@ -518,8 +551,9 @@ def scatter(P: Array, place: Ints, E: Array) -> None:
     E : (rows * LD,) array
         Overwritten at these places, without the transposes of the navigation rows.
     """
+    ld, _, _ = grid(E)
     n = place.size
     for i in range(n):
         for j in range(n):
             if i < 9 or j >= 9:
-                E[place[i] * LD + place[j]] = P[i, j]
+                E[place[i] * ld + place[j]] = P[i, j]

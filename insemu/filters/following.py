@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from insemu import covariates
 from insemu.augment import Augmentation
 from insemu.compiled import njit
+from insemu.lanes import between, where
 from insemu.noise import LARGEST_LOG_GAIN, LARGEST_LOG_TIME
 from insemu.records import ImuRecord
 
@@ -103,9 +104,7 @@ def take_times(out: Array, at: Ints, law: Ints, table: Array, power: Array) -> N
     """
     for v in range(at.size):
         x = (0.5 * math.log(max(power[law[v]], 1e-30)) - FIRST_NODE) / STEP_NODE
-        x = min(max(x, 0.0), NODES - 1.0)
-        k = min(int(x), NODES - 2)
-        out[at[v]] = table[k, v] + (x - k) * (table[k + 1, v] - table[k, v])
+        out[at[v]] = between(table[:, v], min(max(x, 0.0), NODES - 1.0))
 
 
 @njit(cache=True, nogil=True)
@@ -126,7 +125,6 @@ def add_speed(power: Array, laws: Array, speed: float) -> None:
         if code == EXP:
             power[g] *= math.exp(2.0 * min(slope * (speed - at), LARGEST_LOG_GAIN))
         elif code == POWER and slope != 0.0:
-            if speed > above:
-                power[g] *= math.exp(2.0 * min(slope * math.log((speed - above) / (at - above)), LARGEST_LOG_GAIN))
-            else:
-                power[g] *= 0.0 if slope > 0.0 else math.exp(2.0 * LARGEST_LOG_GAIN)
+            ratio = where(speed > above, (speed - above) / (at - above), 1.0)
+            gain = math.exp(2.0 * min(slope * math.log(ratio), LARGEST_LOG_GAIN))
+            power[g] *= where(speed > above, gain, 0.0 if slope > 0.0 else math.exp(2.0 * LARGEST_LOG_GAIN))

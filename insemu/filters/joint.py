@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from insemu import earth
 from insemu.augment import Augmentation
 from insemu.compiled import njit
-from insemu.filters.ekf import LooselyCoupledEKF, pack
+from insemu.filters.ekf import LooselyCoupledEKF
 from insemu.filters.expanded import FIRST, LD, MAP_SIZE, fill_map, gather, middle, predict, scatter
 from insemu.filters.measurements import fill_fix
+from insemu.filters.packed import pack
 from insemu.records import GnssRecord, ImuRecord
 from insemu.strapdown import fill_dynamics
 

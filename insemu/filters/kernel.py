@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +11,11 @@ from numpy.typing import NDArray
 from insemu.compiled import njit
 from insemu.filters.aids import fill_aid
 from insemu.filters.expanded import (
-    FIRST,
-    LD,
     MAP_SIZE,
     advance_transition,
     fill_map,
     gather,
+    grid,
     middle,
     predict,
     reset_transition,
@@ -34,6 +34,7 @@ from insemu.filters.measurements import (
     turn,
     update,
 )
+from insemu.lanes import any_of, number_at, where, zeros
 from insemu.strapdown import fill_dynamics, step
 
 Array = NDArray[np.float64]
@@ -48,31 +49,53 @@ def _states_ahead(
     x: Array, axis_x: Array, slots: int, diagonal: bool, d: Array, phi: Array, c: Array, work: Array
 ) -> None:
     """Predict the estimates of the augmented states, and what the axes see of them."""
+    _, first, wide = grid(x)
     if diagonal:
-        for j in range(FIRST, FIRST + 8 * slots):
+        for j in range(first, first + wide * slots):
             x[j] *= d[j]
     else:
         for s in range(slots):
-            for lane in range(8):
+            for lane in range(6):
                 total = 0.0
                 for k in range(slots):
-                    total += phi[s, k, lane] * x[FIRST + 8 * k + lane]
-                work[8 * s + lane] = total
-        for j in range(8 * slots):
-            x[FIRST + j] = work[j]
+                    total += phi[s, k, lane] * x[first + wide * k + lane]
+                work[wide * s + lane] = total
+        for s in range(slots):
+            for lane in range(6):
+                x[first + wide * s + lane] = work[wide * s + lane]
     for a in range(6):
         total = 0.0
         for s in range(slots):
-            k = FIRST + 8 * s + a
+            k = first + wide * s + a
             total += c[k] * x[k]
         axis_x[a] = total
 
 
 @njit(cache=True, nogil=True)
+def _lay(out: Array, d: Array, phi: Array, mix: Array) -> None:
+    """Write d, phi and mix one after the other."""
+    at = 0
+    for part in (d, phi.ravel(), mix.ravel()):
+        for i in range(part.size):
+            out[at + i] = part[i]
+        at += part.size
+
+
+@njit(cache=True, nogil=True)
+def _failed(status: Array, detail: float, code: int) -> bool:
+    """Note a failure (``detail`` is not negative) where there was none before; whether there is no lane left."""
+    if any_of(detail >= 0.0):
+        first = where(detail >= 0.0, where(status[0] < 1.0, 1.0, 0.0), 0.0)
+        status[0] = where(first > 0.0, code, status[0])
+        status[1] = where(first > 0.0, detail, status[1])
+    return not any_of(status[0] < 1.0)
+
+
+@njit(cache=True, nogil=True)
 def run(
     t: Array,
-    gyro: Array,
-    accel: Array,
+    gyro: Any,
+    accel: Any,
     nav: Array,
     x0: Array,
     P0: Array,
@@ -92,7 +115,7 @@ def run(
     time_at: Ints,
     time_law: Ints,
     time_of: Array,
-    power: Array,
+    power: Any,
     laws: Array,
     white_of: Array,
     white: Array,
@@ -140,7 +163,8 @@ def run(
     node_phi: Array,
     node_dx: Array,
     P: Array,
-) -> tuple[int, int]:
+    status: Array,
+) -> int:
     """Fly the filter through a record; see :mod:`insemu.filters.ekf`, which prepares and names everything.
 
     A fix is used at the first epoch at or after its own time. Where its latency is a state, that is the stamp less the latency as
@@ -227,48 +251,48 @@ def run(
     """
     n = place.size
     m = n - 9
-    end = FIRST + 8 * slots
-    E = np.zeros((end + 1) * LD)
-    T = np.zeros(15 * LD)
-    work = np.zeros((8 * slots + 10) * LD)
-    A = np.zeros((end + 1) * LD if store else 1)
-    w = np.zeros(MAP_SIZE)
-    F = np.zeros((9, 9))
-    C = np.empty((3, 3))
-    mid = np.empty((3, 3))
-    x = np.zeros(LD)
-    c = np.zeros(LD)
-    seen = np.zeros(6)
-    dth, dv, dth1, dv1 = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
-    f_n = np.zeros(3)
-    f_sum, span, count = np.zeros(3), 0.0, 0
-    C_sum = np.zeros((3, 3))
-    nav_before = nav.copy()
-    rate, rate1 = np.zeros(3), np.zeros(3)
+    ld, first, wide = grid(nav)
+    end = first + wide * slots
+    E = zeros(nav, (end + 1) * ld)
+    T = zeros(nav, 15 * ld)
+    work = zeros(nav, (wide * slots + 10) * ld)
+    A = zeros(nav, (end + 1) * ld if store else 1)
+    w = zeros(nav, MAP_SIZE)
+    F = zeros(nav, (9, 9))
+    C, mid, C_sum = zeros(nav, (3, 3)), zeros(nav, (3, 3)), zeros(nav, (3, 3))
+    x, c = zeros(nav, ld), zeros(nav, ld)
+    seen = zeros(nav, 6)
+    dth, dv, dth1, dv1 = zeros(nav, 3), zeros(nav, 3), zeros(nav, 3), zeros(nav, 3)
+    f_n, f_sum, span, count = zeros(nav, 3), zeros(nav, 3), 0.0, 0
+    nav_before = zeros(nav, nav.size)
+    rate, rate1 = zeros(nav, 3), zeros(nav, 3)
     kinds = first_of.size
-    rate_sum, rate_count = np.zeros((kinds, 3)), np.zeros(kinds, dtype=np.int64)
-    mean_rate = np.zeros(3)
+    rate_sum, rate_count = zeros(nav, (kinds, 3)), np.zeros(kinds, dtype=np.int64)
+    mean_rate = zeros(nav, 3)
     upcoming = first_of.copy()
-    past = np.zeros((window, 6))  # acceleration and rate of the last steps
-    trend = np.zeros(12)
-    white_now = np.empty(6)
-    lever = lever0.copy()
+    past = zeros(nav, (window, 6))  # acceleration and rate of the last steps
+    trend = zeros(nav, 12)
+    white_now, white_step = zeros(nav, 6), zeros(nav, 6)
+    lever = zeros(nav, 3)
     installed = lever_at >= 0 or latency_at >= 0
-    c_of = np.zeros(m)
-    dx = np.zeros(n)
-    node_total = np.zeros(n)
+    c_of = zeros(nav, m)
+    dx = zeros(nav, n)
+    node_total = zeros(nav, n)
     width = event_z.shape[1]
-    nu, H, R = np.zeros(width), np.zeros((width, n)), np.zeros((width, width))
-    nu_after, H_after, R_after = np.zeros(width), np.zeros((width, n)), np.zeros((width, width))
-    moved = np.zeros(6)
-    used = np.zeros(width, dtype=np.bool_)
-    no_limits, rejected_from = np.full(thresholds.size, np.inf), math.inf
-    L = np.zeros((n, n))
+    nu, H, R = zeros(nav, width), zeros(nav, (width, n)), zeros(nav, (width, width))
+    nu_after, H_after, R_after = zeros(nav, width), zeros(nav, (width, n)), zeros(nav, (width, width))
+    moved = zeros(nav, 6)
+    used = zeros(nav, width)
+    rejected_from = math.inf + 0.0 * nav[0]
+    L = zeros(nav, (n, n))
     driven = False
     groups = laws.shape[0]
-    power_now, power_sum = np.ones(groups), np.zeros(groups)
-    white_step = white.copy()
+    power_now, power_sum = zeros(nav, groups), zeros(nav, groups)
     timed = time_at.size > 0
+    for i in range(nav.size):
+        nav_before[i] = nav[i]
+    for i in range(6):
+        white_step[i] = white[i]
     for i in range(n):
         for j in range(n):  # an assignment of slices would compile three seconds of messages
             P[i, j] = P0[i, j]
@@ -286,18 +310,18 @@ def run(
 
     d_one, phi_one = d_of[0], phi_of[0]
     d, phi, mix, q = d_one, phi_one, mix_of[0], q_of[0]
-    phi_end = LD + phi.size
+    phi_end = ld + phi.size
     mix_end = phi_end + mix.size
     # matrices that follow covariates, one after the other: of one sample and of a step
-    of_one = np.concatenate((d, phi.ravel(), mix.ravel(), np.zeros(q_law.size)))
-    of_step = of_one.copy()
+    of_one, of_step = zeros(nav, mix_end + q_law.size), zeros(nav, mix_end + q_law.size)
+    _lay(of_one, d, phi, mix)
+    _lay(of_step, d, phi, mix)
     q_now = of_step[mix_end:]
     if timed:
-        d_one, phi_one = of_one[:LD], of_one[LD:phi_end].reshape(phi.shape)
-        d, phi, mix = of_step[:LD], of_step[LD:phi_end].reshape(phi.shape), of_step[phi_end:mix_end].reshape(mix.shape)
-    bad = first_bad_pivot(P, L)
-    if bad >= 0:
-        return 1, bad
+        d_one, phi_one = of_one[:ld], of_one[ld:phi_end].reshape(phi.shape)
+        d, phi, mix = of_step[:ld], of_step[ld:phi_end].reshape(phi.shape), of_step[phi_end:mix_end].reshape(mix.shape)
+    if _failed(status, first_bad_pivot(P, L), 1):
+        return 0
     epochs = t.size
     for k in range(epochs):
         measures = False
@@ -313,13 +337,13 @@ def run(
             if driven:
                 for s in range(m):
                     if driver[s] >= 0:
-                        raw = gyro[k, driver[s]] if driver[s] < 3 else accel[k, driver[s] - 3]
+                        raw = number_at(gyro, k, driver[s]) if driver[s] < 3 else number_at(accel, k, driver[s] - 3)
                         c_of[s] = c0[s] * raw / dt
                         c[place[9 + s]] = c_of[s]
             if groups > 0:
                 for g in range(groups):
-                    power_now[g] = power[k, g]
-                add_speed(power_now, laws, math.sqrt(nav[3] ** 2 + nav[4] ** 2 + nav[5] ** 2))
+                    power_now[g] = number_at(power, k, g)
+                add_speed(power_now, laws, math.sqrt(nav[3] * nav[3] + nav[4] * nav[4] + nav[5] * nav[5]))
                 for i in range(6):
                     white_step[i] = white[i]
                     for g in range(groups):
@@ -331,8 +355,8 @@ def run(
             _states_ahead(x, seen, slots, diagonal, d_one, phi_one, c, work)
             for i in range(3):
                 dth1[i], dv1[i], rate1[i] = dth[i], dv[i], rate[i]
-                dth[i] = gyro[k, i] - seen[i] * dt
-                dv[i] = accel[k, i] - seen[3 + i] * dt
+                dth[i] = number_at(gyro, k, i) - seen[i] * dt
+                dv[i] = number_at(accel, k, i) - seen[3 + i] * dt
                 rate[i] = dth[i] / dt
                 for a in range(1, kinds):
                     rate_sum[a, i] += rate[i]
@@ -357,7 +381,7 @@ def run(
             for a in range(kinds):
                 if upcoming[a] >= 0:
                     if a == FIX and latency_at >= 0:
-                        measures = measures or event_t[upcoming[a]] - x[place[latency_at]] <= t[k] + tolerance
+                        measures = measures or any_of(event_t[upcoming[a]] - x[place[latency_at]] <= t[k] + tolerance)
                     else:
                         measures = measures or event_epoch[upcoming[a]] == k
             due = (
@@ -384,19 +408,14 @@ def run(
                 fill_map(F, mid, span, w)
                 half = 0.5 * span
                 if every > 1 and timed:
-                    for i in range(LD):
-                        d[i] = d_of[count - 1, i]
-                    phi_flat, mix_flat = phi_of[count - 1].ravel(), mix_of[count - 1].ravel()
-                    for i in range(phi_flat.size):
-                        of_step[LD + i] = phi_flat[i]
-                    for i in range(mix_flat.size):
-                        of_step[phi_end + i] = mix_flat[i]
+                    _lay(of_step, d_of[count - 1], phi_of[count - 1], mix_of[count - 1])
                 elif every > 1:
                     d, phi, mix, q = d_of[count - 1], phi_of[count - 1], mix_of[count - 1], q_of[count - 1]
                 if groups > 0:
                     for i in range(q_law.size):
-                        level = power_sum[q_law[i]] / count if q_law[i] >= 0 else 1.0
-                        q_now[i] = q_of[count - 1, i] * level
+                        q_now[i] = q_of[count - 1, i]
+                        if q_law[i] >= 0:
+                            q_now[i] *= power_sum[q_law[i]] / count
                     for g in range(groups):
                         power_sum[g] /= count
                     if timed:
@@ -421,7 +440,7 @@ def run(
             for i in range(n):
                 for j in range(n):
                     node_before[node, i, j] = P[i, j]
-                    node_phi[node, i, j] = A[place[i] * LD + place[j]]
+                    node_phi[node, i, j] = A[place[i] * ld + place[j]]
                 node_total[i] = 0.0
         while measures:
             event = -1
@@ -429,7 +448,7 @@ def run(
                 e = upcoming[a]
                 if e >= 0:
                     if a == FIX and latency_at >= 0:
-                        here = event_t[e] - x[place[latency_at]] <= t[k] + tolerance
+                        here = any_of(event_t[e] - x[place[latency_at]] <= t[k] + tolerance)
                     else:
                         here = event_epoch[e] == k
                     if here and (event < 0 or e < event):
@@ -439,13 +458,12 @@ def run(
             kind = event_kind[event]
             upcoming[kind] = event_next[event]
             fix_epoch[event] = k
-            tau = event_tau[event]
+            tau = 0.0 * t[0] + event_tau[event]
             in_time = True
             if kind == FIX and latency_at >= 0:
                 tau = t[k] - (event_t[event] - x[place[latency_at]])
-                if tau < tolerance:
-                    tau = 0.0
-                in_time = tau <= LATE_STEPS * (t[k] - t[k - 1])
+                tau = where(tau < tolerance, 0.0, tau)
+                in_time = any_of(tau <= LATE_STEPS * (t[k] - t[k - 1]))
                 fill_trend(past, k, (t[k] - t[0]) / k, trend)
             if kind == FIX and installed:
                 fill_rate(t, gyro, seen, past, k, tau, around, trend[9:])
@@ -477,7 +495,7 @@ def run(
                     )
                     if latency_at >= 0:
                         at = place[latency_at]
-                        add_curvature(trend, E[at * LD + at], nu, R)
+                        add_curvature(trend, E[at * ld + at], nu, R)
                 else:
                     for i in range(3):
                         mean_rate[i] = rate_sum[kind, i] / rate_count[kind]
@@ -499,23 +517,28 @@ def run(
                         R,
                     )
                 for i in range(width):
-                    used[i] = math.isfinite(event_z[event, i]) and math.isfinite(event_var[event, i])
-                    if used[i]:
+                    used[i] = where(math.isfinite(event_z[event, i] + event_var[event, i]), 1.0, 0.0)
+                    if any_of(used[i] > 0.0):
                         R[i, i] += event_var[event, i]
-                        fix_nu[event, i] = nu[i]
-                gather(E, place, P)
-                limits = no_limits if kind == FIX and t[k] - rejected_from >= timeout else thresholds
-                nis, dof, ok = update(P, nu, H, R, used, limits, dx, fix_S[event], fix_K[event if store else 0])
-                if dof < 0:
-                    return 2, -1 - dof
-                if kind == FIX and dof > 0:
-                    rejected_from = math.inf if ok else min(rejected_from, t[k])
-                fix_nis[event], fix_dof[event], fix_ok[event] = nis, dof, 1 if ok else 0
+                        fix_nu[event, i] = where(used[i] > 0.0, nu[i], fix_nu[event, i])
                 if store:
                     for i in range(width):
                         for j in range(n):
                             fix_H[event, i, j] = H[i, j]
-                if ok:
+                gather(E, place, P)
+                free = -math.inf
+                if kind == FIX:
+                    free = where(t[k] - rejected_from >= timeout, math.inf, -math.inf)
+                nis, dof, ok, bad = update(
+                    P, nu, H, R, used, thresholds, free, dx, fix_S[event], fix_K[event if store else 0]
+                )
+                if _failed(status, bad, 2):
+                    return node
+                if kind == FIX:
+                    rejected = where(ok > 0.0, math.inf, min(rejected_from, t[k]))
+                    rejected_from = where(dof > 0.0, rejected, rejected_from)
+                fix_nis[event], fix_dof[event], fix_ok[event] = nis, dof, ok
+                if any_of(ok > 0.0):
                     take_off(nav, dx)
                     for s in range(m):
                         x[place[9 + s]] -= dx[9 + s]
@@ -556,9 +579,8 @@ def run(
                                 R_after,
                             )
                             turn(P, H, H_after, used)
-                    bad = first_bad_pivot(P, L)
-                    if bad >= 0:
-                        return 1, bad
+                    if _failed(status, first_bad_pivot(P, L), 1):
+                        return node
                     scatter(P, place, E)
                     for i in range(n):
                         node_total[i] += dx[i]
@@ -584,15 +606,12 @@ def run(
             for i in range(10):
                 out_nav[row, i] = nav[i]
             for i in range(n):
-                out_var[row, i] = E[place[i] * LD + place[i]]
+                out_var[row, i] = E[place[i] * ld + place[i]]
             for s in range(m):
                 out_x[row, s] = x[place[9 + s]]
             row += 1
     for i in range(10):
-        if not math.isfinite(nav[i]):
-            return 3, epochs - 1
+        _failed(status, where(math.isfinite(nav[i]), -1.0, epochs - 1.0), 3)
     gather(E, place, P)
-    bad = first_bad_pivot(P, L)
-    if bad >= 0:
-        return 1, bad
-    return 0, node
+    _failed(status, first_bad_pivot(P, L), 1)
+    return node

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insemu.compiled import njit
 from insemu.earth import RATE, scalar_radii
-from insemu.rotation import scalar_dcm
+from insemu.lanes import any_of, number_at, where, zeros
+from insemu.rotation import scalar_dcm, scalar_wrapped
 from insemu.strapdown import correct
 
 Array = NDArray[np.float64]
@@ -20,29 +22,25 @@ FIX = 0
 
 
 @njit(cache=True, nogil=True)
-def first_bad_pivot(P: Array, L: Array) -> int:
-    """Index of the first state that makes ``P`` not positive semidefinite (to 1e-9 of its variance), -1 where there is none."""
+def first_bad_pivot(P: Array, L: Array) -> float:
+    """Index of the first state that makes ``P`` not positive semidefinite (to 1e-9 of its variance), or -1; ``L`` is working space."""
     n = P.shape[0]
+    bad = -1.0
     for j in range(n):
-        if not P[j, j] >= 0.0:
-            return j
         pivot = P[j, j]
         for k in range(j):
             pivot -= L[j, k] * L[j, k]
-        if pivot < -1e-9 * P[j, j]:
-            return j
-        if pivot <= 1e-13 * P[j, j]:
-            for i in range(j, n):
-                L[i, j] = 0.0
-            continue
-        root = math.sqrt(pivot)
-        L[j, j] = root
+        right = min(P[j, j], pivot + 1e-9 * P[j, j]) >= 0.0
+        bad = where(right, bad, where(bad < 0.0, float(j), bad))
+        vanishes = pivot <= 1e-13 * P[j, j]
+        root = where(vanishes, 1.0, math.sqrt(max(pivot, 0.0)))
+        L[j, j] = where(vanishes, 0.0, root)
         for i in range(j + 1, n):
             x = P[i, j]
             for k in range(j):
                 x -= L[i, k] * L[j, k]
-            L[i, j] = x / root
-    return -1
+            L[i, j] = where(vanishes, 0.0, x / root)
+    return bad
 
 
 @njit(cache=True, nogil=True)
@@ -112,24 +110,24 @@ def fill_fix(
     nu, H, R : (w,), (w, n), (w, w) arrays
         Overwritten, w >= 6; ``R`` is what the gyroscope's white noise adds through the lever arm.
     """
-    C = np.empty((3, 3))
+    C = zeros(nav, (3, 3))
     scalar_dcm(nav[6:10], C)
     rm, rn = scalar_radii(math.sin(nav[0]))
     h = nav[2]
-    acc = np.empty(3)
+    acc = zeros(nav, 3)
     for i in range(3):
         acc[i] = (nav[3 + i] - nav_before[3 + i]) / dt
     # rate with respect to the Earth at the time of the fix: the last mean carried from the middle of its step
     shift = (0.5 * dt - min(tau, dt)) / dt
-    omega = np.empty(3)
+    omega = zeros(nav, 3)
     for i in range(3):
         omega[i] = rate[i] + shift * (rate[i] - rate_before[i])
     against_earth(nav, C, omega, omega)
-    turn = np.empty(3)
+    turn = zeros(nav, 3)
     turn[0] = omega[1] * lever[2] - omega[2] * lever[1]
     turn[1] = omega[2] * lever[0] - omega[0] * lever[2]
     turn[2] = omega[0] * lever[1] - omega[1] * lever[0]
-    arm, swing, omega_n = np.zeros(3), np.zeros(3), np.zeros(3)
+    arm, swing, omega_n = zeros(nav, 3), zeros(nav, 3), zeros(nav, 3)
     for i in range(3):
         for j in range(3):
             arm[i] += C[i, j] * lever[j]
@@ -148,11 +146,7 @@ def fill_fix(
     s1 = swing[1] - tau * (omega_n[2] * swing[0] - omega_n[0] * swing[2])
     s2 = swing[2] - tau * (omega_n[0] * swing[1] - omega_n[1] * swing[0])
     half = 0.5 * tau * tau
-    dlon = z[1] - nav[1] - nav[11]
-    if dlon > math.pi:
-        dlon -= 2.0 * math.pi
-    elif dlon < -math.pi:
-        dlon += 2.0 * math.pi
+    dlon = scalar_wrapped(z[1] - nav[1] - nav[11])
     nu[0] = (z[0] - nav[0] - nav[10]) * (rm + h) - (a0 - tau * nav[3] + half * acc[0])
     nu[1] = dlon * (rn + h) * math.cos(nav[0]) - (a1 - tau * nav[4] + half * acc[1])
     nu[2] = h - z[2] + nav[12] - (a2 - tau * nav[5] + half * acc[2])
@@ -174,9 +168,9 @@ def fill_fix(
     H[3, 7], H[3, 8] = s2 - f2, f1 - s1
     H[4, 6], H[4, 8] = f2 - s2, s0 - f0
     H[5, 6], H[5, 7] = s1 - f1, f0 - s0
-    if lever[0] != 0.0 or lever[1] != 0.0 or lever[2] != 0.0:
+    if any_of(abs(lever[0]) + abs(lever[1]) + abs(lever[2]) > 0.0):
         # velocity error of the arm: -C [l x] dw, dw = -(c e_x) + white
-        X = np.empty((3, 3))
+        X = zeros(nav, (3, 3))
         for i in range(3):
             X[i, 0] = -(C[i, 1] * lever[2] - C[i, 2] * lever[1])
             X[i, 1] = -(C[i, 2] * lever[0] - C[i, 0] * lever[2])
@@ -204,7 +198,7 @@ def fill_fix(
                 omega_n[i] += C[i, j] * omega[j]
     if lever_at >= 0:
         # C [w x], and its change with the age of the fix
-        M = np.empty((3, 3))
+        M = zeros(nav, (3, 3))
         for i in range(3):
             M[i, 0] = C[i, 1] * omega[2] - C[i, 2] * omega[1]
             M[i, 1] = C[i, 2] * omega[0] - C[i, 0] * omega[2]
@@ -273,7 +267,7 @@ def fill_trend(past: Array, k: int, dt: float, trend: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def fill_rate(t: Array, gyro: Array, seen: Array, past: Array, k: int, tau: float, around: int, rate: Array) -> None:
+def fill_rate(t: Array, gyro: Any, seen: Array, past: Array, k: int, tau: float, around: int, rate: Array) -> None:
     """The rate of the body when a fix was valid, from the steps on both sides of the two whose rates predict its velocity.
 
     The noise of a rate that both the innovation and its derivative by the lever arm are made of would be taken for information about the
@@ -284,7 +278,7 @@ def fill_rate(t: Array, gyro: Array, seen: Array, past: Array, k: int, tau: floa
     ----------
     t : (epochs,) array
         s.
-    gyro : (epochs, 3) array
+    gyro : (epochs, 3) array, or tuple of them, one a lane
         Increments over the steps to the epochs, rad.
     seen : (3+,) array
         What the axes see of the estimated states, rad/s.
@@ -317,7 +311,7 @@ def fill_rate(t: Array, gyro: Array, seen: Array, past: Array, k: int, tau: floa
         if after > 0:
             total = 0.0
             for j in range(after):
-                total += gyro[k + 1 + j, i]
+                total += number_at(gyro, k + 1 + j, i)
             rate[i] += share * (total / (t[k + after] - t[k]) - seen[i])
 
 
@@ -358,7 +352,7 @@ def motion_change(C: Array, f_n: Array, dx: Array, c_of: Array, axis: Ints, chan
     change : (6,) array
         Overwritten: acceleration, NED, m/s^2, and rate, body axes, rad/s.
     """
-    sensed = np.zeros(6)
+    sensed = zeros(dx, 6)
     for s in range(axis.size):
         if axis[s] >= 0:
             sensed[axis[s]] += c_of[s] * dx[9 + s]
@@ -371,7 +365,7 @@ def motion_change(C: Array, f_n: Array, dx: Array, c_of: Array, axis: Ints, chan
 
 
 @njit(cache=True, nogil=True)
-def turn(P: Array, H: Array, H_after: Array, used: NDArray[np.bool_]) -> None:
+def turn(P: Array, H: Array, H_after: Array, used: Array) -> None:
     """Keep the covariance of what a fix sees when the estimates that it is linearized at change.
 
     A fix sees position and velocity of the antenna at its own time. An update moves the estimates of attitude, velocity, lever arm and latency,
@@ -385,14 +379,15 @@ def turn(P: Array, H: Array, H_after: Array, used: NDArray[np.bool_]) -> None:
         Covariance after an update, changed in place.
     H, H_after : (w, n) arrays
         Jacobian of the fix at the estimates before and after the update, w >= 6.
-    used : (w,) array of bool
+    used : (w,) array
+        1 where a component is used, else 0.
     """
     n = P.shape[0]
     for side in range(2):
         for i in range(6):
             for s in range(6, n):
-                by = H[i, s] - H_after[i, s]
-                if used[i] and by != 0.0:
+                by = used[i] * (H[i, s] - H_after[i, s])
+                if any_of(by != 0.0):
                     for j in range(n):
                         if side == 0:
                             P[i, j] += by * P[s, j]
@@ -428,13 +423,16 @@ def update(
     nu_all: Array,
     H_all: Array,
     R_all: Array,
-    used: NDArray[np.bool_],
+    used: Array,
     thresholds: Array,
+    free: float,
     dx: Array,
     S_out: Array,
     K_out: Array,
-) -> tuple[float, int, bool]:
+) -> tuple[float, float, float, float]:
     """Joseph update of ``P`` (n, n) with the used rows of a measurement.
+
+    A row that is used in some lanes only is overwritten in the others by a measurement of nothing with variance 1, which changes nothing.
 
     Parameters
     ----------
@@ -442,36 +440,44 @@ def update(
         Updated in place where the measurement is accepted.
     nu_all, H_all, R_all : (w,), (w, n), (w, w) arrays
         Innovation, Jacobian, noise.
-    used : (w,) array of bool
+    used : (w,) array
+        1 where a component is used, else 0.
     thresholds : (w + 1,) array
         Largest accepted normalised innovation squared by the number of components (inf: no gate).
+    free : float
+        Whatever is smaller is accepted (inf: no gate, -inf: the thresholds decide).
     dx : (n,) array
-        Overwritten by the estimated error (to be taken off).
+        Overwritten by the estimated error (to be taken off); zero where the measurement is rejected.
     S_out, K_out : (w, w), (n, w) arrays
         Overwritten in the used rows and columns.
 
     Returns
     -------
-    (nis, dof, accepted)
+    (nis, dof, accepted, bad)
+        ``accepted`` is 1 or 0, ``bad`` the component in which the innovation covariance is not positive definite, -1 where there is none.
     """
     n = P.shape[0]
     rows = np.empty(nu_all.size, dtype=np.int64)
     q = 0
+    dof, bad = 0.0 * used[0], -1.0
     for i in range(nu_all.size):
-        if used[i]:
+        if any_of(used[i] > 0.0):
             rows[q] = i
             q += 1
+            dof += used[i]
+            if any_of(used[i] < 1.0):
+                _blank(used[i], i, nu_all, H_all, R_all)
     dx[:] = 0.0
     if q == 0:
-        return math.nan, 0, False
-    G = np.zeros((n, q))  # P H'
+        return math.nan * dof, dof, dof, bad
+    G = zeros(P, (n, q))  # P H'
     for a in range(q):
         for j in range(n):
             h = H_all[rows[a], j]
-            if h != 0.0:
+            if any_of(h != 0.0):
                 for i in range(n):
                     G[i, a] += P[i, j] * h
-    S, L = np.empty((q, q)), np.zeros((q, q))
+    S, L = zeros(P, (q, q)), zeros(P, (q, q))
     for a in range(q):
         for b in range(a, q):
             x = R_all[rows[a], rows[b]]
@@ -479,31 +485,35 @@ def update(
                 x += H_all[rows[a], j] * G[j, b]
             S[a, b] = x
             S[b, a] = x
+            x = where(used[rows[a]] * used[rows[b]] > 0.0, x, math.nan)
             S_out[rows[a], rows[b]] = x
             S_out[rows[b], rows[a]] = x
     for j in range(q):
         x = S[j, j]
         for k in range(j):
             x -= L[j, k] * L[j, k]
-        if not x > 0.0:
-            return math.nan, -1 - rows[j], False
-        L[j, j] = math.sqrt(x)
+        bad = where(x > 0.0, bad, where(bad < 0.0, float(rows[j]), bad))
+        L[j, j] = math.sqrt(max(x, 0.0))
         for i in range(j + 1, q):
             x = S[i, j]
             for k in range(j):
                 x -= L[i, k] * L[j, k]
             L[i, j] = x / L[j, j]
-    y = np.empty(q)
-    nis = 0.0
+    y = zeros(P, q)
+    nis, limit = 0.0 * dof, free + 0.0 * dof
     for a in range(q):
         x = nu_all[rows[a]]
         for k in range(a):
             x -= L[a, k] * y[k]
         y[a] = x / L[a, a]
         nis += y[a] * y[a]
-    if nis > thresholds[q]:
-        return nis, q, False
-    K = np.empty((n, q))  # G S^-1 by two triangular solves
+    for a in range(1, q + 1):
+        limit = where(dof >= a, max(thresholds[a], free), limit)
+    ok = where(dof > 0.0, where(nis > limit, 0.0, 1.0), 0.0)
+    nis = where(dof > 0.0, nis, math.nan)
+    if not any_of(ok > 0.0):
+        return nis, dof, ok, bad
+    K = zeros(P, (n, q))  # G S^-1 by two triangular solves
     for i in range(n):
         for a in range(q):
             x = G[i, a]
@@ -515,27 +525,29 @@ def update(
             for k in range(a + 1, q):
                 x -= L[k, a] * K[i, k]
             K[i, a] = x / L[a, a]
+        x = 0.0 * dof
         for a in range(q):
-            dx[i] -= K[i, a] * nu_all[rows[a]]
-            K_out[i, rows[a]] = K[i, a]
+            x -= K[i, a] * nu_all[rows[a]]
+            K_out[i, rows[a]] = where(used[rows[a]] * ok > 0.0, K[i, a], K_out[i, rows[a]])
+        dx[i] = where(ok > 0.0, x, 0.0)
     # (I - K H) P (I - K H)' + K R K'
-    B = np.empty((n, n))
+    B = zeros(P, (n, n))
     for i in range(n):
         for j in range(n):
             x = P[i, j]
             for a in range(q):
                 x -= K[i, a] * G[j, a]
             B[i, j] = x
-    D = np.zeros((n, q))
+    D = zeros(P, (n, q))
     for a in range(q):
         for j in range(n):
             h = H_all[rows[a], j]
-            if h != 0.0:
+            if any_of(h != 0.0):
                 for i in range(n):
                     D[i, a] += B[i, j] * h
         for b in range(q):
             r = R_all[rows[b], rows[a]]
-            if r != 0.0:
+            if any_of(r != 0.0):
                 for i in range(n):
                     D[i, a] -= K[i, b] * r
     for i in range(n):
@@ -543,6 +555,27 @@ def update(
             x = 0.5 * (B[i, j] + B[j, i])
             for a in range(q):
                 x -= 0.5 * (D[i, a] * K[j, a] + D[j, a] * K[i, a])
+            x = where(ok > 0.0, x, P[i, j])
             P[i, j] = x
             P[j, i] = x
-    return nis, q, True
+    return nis, dof, ok, bad
+
+
+@njit(cache=True, nogil=True)
+def _blank(used: float, row: int, nu: Array, H: Array, R: Array) -> None:
+    """Make a row of a measurement one of nothing with variance 1 in the lanes that do not use it.
+
+    Parameters
+    ----------
+    used : float
+        1 or 0.
+    row : int
+    nu, H, R : (w,), (w, n), (w, w) arrays
+    """
+    nu[row] = where(used > 0.0, nu[row], 0.0)
+    for j in range(H.shape[1]):
+        H[row, j] = where(used > 0.0, H[row, j], 0.0)
+    for j in range(nu.size):
+        R[row, j] = where(used > 0.0, R[row, j], 0.0)
+        R[j, row] = where(used > 0.0, R[j, row], 0.0)
+    R[row, row] = where(used > 0.0, R[row, row], 1.0)

@@ -8,6 +8,12 @@ class Type:
 
 float64: Any
 int64: Any
+intp: Any
+boolean: Any
+Array: Any
+Boolean: Any
+Float: Any
+Integer: Any
 
 def CPointer(kind: Any) -> Any: ...
 def void(*arguments: Any) -> Any: ...

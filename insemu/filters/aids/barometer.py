@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from insemu.compiled import njit
 from insemu.filters.aid import Aid, TrueMotion
+from insemu.lanes import zeros
 from insemu.rotation import scalar_dcm
 
 Array = NDArray[np.float64]
@@ -31,7 +32,7 @@ def _fill(
     R: Array,
 ) -> None:
     """Height of the port, taken back by the vertical velocity; see :func:`insemu.filters.aids.fill_aid`."""
-    C = np.empty((3, 3))
+    C = zeros(nav, (3, 3))
     scalar_dcm(nav[6:10], C)
     north, east, down = 0.0, 0.0, 0.0
     for k in range(3):

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from insemu.compiled import njit
 from insemu.filters.aid import Aid, TrueMotion
+from insemu.lanes import zeros
 from insemu.rotation import scalar_dcm
 
 Array = NDArray[np.float64]
@@ -47,7 +48,7 @@ def _fill(
     R: Array,
 ) -> None:
     """Heading of the axis, taken back by the turn of the last step; see :func:`insemu.filters.aids.fill_aid`."""
-    C = np.empty((3, 3))
+    C = zeros(nav, (3, 3))
     x, y, _ = _along(nav_before, settings[0], C)
     before = math.atan2(y, x)
     x, y, down = _along(nav, settings[0], C)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from insemu.compiled import njit
 from insemu.filters.aid import Aid, TrueMotion
 from insemu.filters.measurements import against_earth
+from insemu.lanes import zeros
 from insemu.rotation import dcm_from_rpy, scalar_dcm
 
 Array = NDArray[np.float64]
@@ -34,8 +35,8 @@ def _fill(
     R: Array,
 ) -> None:
     """Velocity of the wheel in vehicle axes; see :func:`insemu.filters.aids.fill_aid`."""
-    C, M, T = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    before, now, omega = np.empty(3), np.empty(3), np.empty(3)
+    C, M, T = zeros(nav, (3, 3)), np.empty((3, 3)), zeros(nav, (3, 3))
+    before, now, omega = zeros(nav, 3), zeros(nav, 3), zeros(nav, 3)
     _mounting(settings, M)
     _in_vehicle(nav_before, M, C, T, before)
     _in_vehicle(nav, M, C, T, now)

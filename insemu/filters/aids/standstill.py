@@ -13,6 +13,7 @@ from insemu.compiled import njit
 from insemu.earth import RATE
 from insemu.filters.aid import Aid
 from insemu.filters.measurements import against_earth
+from insemu.lanes import zeros
 from insemu.records import AidRecord
 from insemu.rotation import scalar_dcm
 
@@ -73,9 +74,9 @@ def _fill(
     R: Array,
 ) -> None:
     """Zero velocity (rows 0..2) and zero mean angular rate (rows 3..5); see :func:`insemu.filters.aids.fill_aid`."""
-    C = np.empty((3, 3))
+    C = zeros(nav, (3, 3))
     scalar_dcm(nav[6:10], C)
-    omega = np.empty(3)
+    omega = zeros(nav, 3)
     against_earth(nav, C, mean_rate, omega)
     we_n, we_d = RATE * math.cos(nav[0]), -RATE * math.sin(nav[0])
     for i in range(3):
