@@ -68,7 +68,9 @@ def stamp_of(texts: Iterable[bytes]) -> str:
     """Hash of those sources, in a fixed order, that hold kernels."""
     found = hashlib.sha256()
     for text in texts:
-        if re.search(rb"^\s*from [\w.]+ import .*\b(njit|cfunc|intrinsic)\b", text, re.MULTILINE):
+        if re.search(
+            rb"^\s*from (?:[\w.]+ import .*\b(?:njit|cfunc|intrinsic)\b|numba\.extending import)", text, re.MULTILINE
+        ):
             found.update(hashlib.sha256(text).digest())
     return found.hexdigest()
 

@@ -1,7 +1,7 @@
 """Typed sampled data, checked on the way in: signals, IMU and GNSS records, trajectories.
 
-All arrays are read-only float64, time first, SI units and radians. Times are seconds on one common clock and strictly
-increasing. An :class:`ImuRecord` has one row for each of its time stamps: row k describes the interval ``(t[k-1], t[k]]``, so row 0,
+All arrays are read-only float64, time first, SI units and radians. Times are seconds on one common clock from the origin of the recording
+and strictly increasing. An :class:`ImuRecord` has one row for each of its time stamps: row k describes the interval ``(t[k-1], t[k]]``, so row 0,
 the interval before the record starts, is never integrated (emulated records repeat row 1 there).
 """
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError
+from insemu.stamps import OWN, SECOND, Origin, counted
 
 Array = NDArray[np.float64]
 ImuKind = Literal["increment", "mean", "sample"]
@@ -458,6 +459,8 @@ class Recording:
         Further measurements.
     initial : InitialState, optional
         Where a filter may start; found by alignment where it is not given.
+    origin : Origin
+        When time 0 was. What is read counts from the second in which its first IMU row lies, or from the origin that the file states.
     """
 
     imu: ImuRecord
@@ -466,3 +469,25 @@ class Recording:
     source: str = "recording"
     aids: tuple[AidRecord, ...] = ()
     initial: InitialState | None = None
+    origin: Origin = OWN
+
+    def from_start(self) -> Recording:
+        """The same recording with times from the second of its first IMU row, where its clock began longer before than it lasts."""
+        if not self.imu.t[0] > self.imu.t[-1] - self.imu.t[0]:
+            return self
+        first, t = counted(self.imu.t)
+
+        def moved(times: Array) -> Array:
+            start, since = counted(times)
+            return since + (start - first) / SECOND
+
+        gnss, reference, initial = self.gnss, self.reference, self.initial
+        return replace(
+            self,
+            imu=replace(self.imu, t=t),
+            gnss=None if gnss is None else replace(gnss, t=moved(gnss.t)),
+            reference=None if reference is None else replace(reference, t=moved(reference.t)),
+            aids=tuple(replace(a, t=moved(a.t), since=None if a.since is None else moved(a.since)) for a in self.aids),
+            initial=None if initial is None else replace(initial, t=float(moved(np.array([initial.t]))[0])),
+            origin=replace(self.origin, ns=self.origin.ns + first),
+        )

@@ -29,7 +29,7 @@ def _as_recording(written) -> Recording:  # type: ignore[no-untyped-def]
     options = dict(written.options)
     if options.keys() & {"map", "gnss", "truth"} or layout_of(written.path) == "foreign":
         found = _opened(written)
-        return Recording(found.imu, found.gnss, found.reference) if found.imu is not None else found  # type: ignore[return-value]
+        return found.recording() if found.imu is not None else found  # type: ignore[return-value]
     if holds_recording(written.path):
         return read_recording(written.path)
     log = read_log(written.path, rate_hz=options.get("rate_hz"))
@@ -45,22 +45,21 @@ def test_the_same_drive_comes_back_from_every_kind_of_file(name: str, tmp_path: 
     found, want = _as_recording(written), drive()
     have = {k for k, v in (("imu", found.imu), ("gnss", found.gnss), ("ref", found.reference)) if v is not None}
     assert have == written.holds
-    # stamps of 1e9 s have a resolution of 2.4e-7 s
-    near = 1e-6
+    near, began = 1e-6, found.origin.ns / 1e9 - written.start
     if found.imu is not None:
-        np.testing.assert_allclose(found.imu.t - written.start, want.imu.t, atol=near)
+        np.testing.assert_allclose(found.imu.t + began, want.imu.t, atol=near)
         per = 1.0 / RATE if found.imu.kind == "increment" else 1.0
         np.testing.assert_allclose(found.imu.gyro / per, want.imu.gyro, atol=max(written.tolerance, 1e-6))
         np.testing.assert_allclose(found.imu.accel / per, want.imu.accel, atol=max(written.tolerance, 1e-6))
     if found.gnss is not None:
         assert want.gnss is not None and want.gnss.vel_ned is not None
-        np.testing.assert_allclose(found.gnss.t - written.start, want.gnss.t, atol=near)
+        np.testing.assert_allclose(found.gnss.t + began, want.gnss.t, atol=near)
         assert np.abs(earth.position_difference(found.gnss.llh, want.gnss.llh)).max() < 0.02
         if found.gnss.vel_ned is not None:
             np.testing.assert_allclose(found.gnss.vel_ned, want.gnss.vel_ned, atol=2e-3)
     if found.reference is not None and len(found.reference) == len(want.reference or ()):
         assert want.reference is not None
-        np.testing.assert_allclose(found.reference.t - written.start, want.reference.t, atol=near)
+        np.testing.assert_allclose(found.reference.t + began, want.reference.t, atol=near)
         assert np.abs(earth.position_difference(found.reference.llh, want.reference.llh)).max() < 0.02
         turn = np.abs((found.reference.rpy - want.reference.rpy + np.pi) % (2 * np.pi) - np.pi)
         assert turn.max() < 1e-6
@@ -218,8 +217,9 @@ def test_the_end_of_a_gps_week_is_crossed(tmp_path: Path) -> None:
     places = np.column_stack([(g.t + start) % 604_800.0, np.rad2deg(g.llh[:, :2]), g.llh[:, 2], g.pos_std_ned])[80:]
     np.savetxt(tmp_path / "a.pos", places, fmt="%.12g")  # begins after the week's end
     found = open_files(tmp_path / "a.txt", gnss=tmp_path / "a.pos")
-    np.testing.assert_allclose(found.imu.t - start, imu.t, atol=1e-6)  # type: ignore[union-attr]
-    np.testing.assert_allclose(found.gnss.t - start, g.t[80:], atol=1e-6)  # type: ignore[union-attr]
+    began = found.origin.ns / 1e9 - start
+    np.testing.assert_allclose(found.imu.t + began, imu.t, atol=1e-6)  # type: ignore[union-attr]
+    np.testing.assert_allclose(found.gnss.t + began, g.t[80:], atol=1e-6)  # type: ignore[union-attr]
     assert any("week" in n for n in found.notes)
 
 

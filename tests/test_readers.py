@@ -35,13 +35,14 @@ def files(folder: Path, texts: Mapping[str, str | bytes]) -> Path:
     return folder / next(iter(texts))
 
 
-def same(record: Any, **wanted: Any) -> None:
-    """All fields of a record to the last digits; those that are not named are absent."""
+def same(record: Any, *, began: int, **wanted: Any) -> None:
+    """All fields of a record to the last digits, times on the clock of the file, s; those that are not named are absent."""
     for name in ("vel_ned", "pos_std_ned", "vel_std_ned", "temperature"):
         if hasattr(record, name) and name not in wanted:
             assert getattr(record, name) is None, name
     for name, value in wanted.items():
         found = getattr(record, name)
+        found = found + began * 1e-9 if name == "t" else found
         if isinstance(value, str):
             assert found == value, name
         else:
@@ -67,6 +68,7 @@ def test_rtklib_in_weeks_with_velocities_and_standard_deviations(tmp_path: Path)
     assert found.imu is None and found.reference is None
     same(
         found.gnss,
+        began=found.origin.ns,
         t=[GPS, GPS + 1.5],
         llh=llh((46.5, -7.25, 400.5), (46.6, -7.35, 401.5)),
         vel_ned=[[1.5, -2.5, -0.25], [2.5, -3.5, 0.5]],
@@ -91,9 +93,10 @@ def test_rtklib_in_utc_as_ecef_with_qualities(tmp_path: Path) -> None:
 2024/01/31 11:59:44.250  0 0 6356752.314245179  1  7
 2024/01/31 11:59:45.250  0 0 6356752.314245179  8  7
 """
-    found = open_files(files(tmp_path, {"a.pos": text})).gnss
-    assert found is not None
-    np.testing.assert_allclose(found.t, UNIX + np.array([0.0, 1.25, 2.25, 3.25]), rtol=0, atol=1e-6)
+    opened = open_files(files(tmp_path, {"a.pos": text}))
+    found = opened.gnss
+    assert found is not None and opened.origin.ns == UNIX * 1e9
+    np.testing.assert_array_equal(found.t, [0.0, 1.25, 2.25, 3.25])
     np.testing.assert_allclose(found.llh[:2], llh((0, 180, 0), (0, 90, 100)), atol=1e-8)
     np.testing.assert_allclose(found.llh[2:, [0, 2]], [[np.pi / 2, 0.0]] * 2, atol=1e-6)
     half = [0.02, 0.5, 5.0, np.nan]
@@ -149,6 +152,7 @@ def test_kf_gins(tmp_path: Path) -> None:
     found = open_files(path, gnss=tmp_path / "a.pos", truth=tmp_path / "a.nav")
     same(
         found.imu,
+        began=found.origin.ns,
         t=302400 + 0.005 * np.arange(5),
         gyro=[[1e-4, -2e-4, k * 1e-5] for k in range(5)],
         accel=[[0.001, -0.002, -0.049]] * 5,
@@ -156,12 +160,14 @@ def test_kf_gins(tmp_path: Path) -> None:
     )
     same(
         found.gnss,
+        began=found.origin.ns,
         t=[302400, 302401, 302402, 302403],
         llh=llh((46.5, 7.25, 400.5), (46.6, 7.35, 401.5), (46.7, 7.35, 401.5), (46.7, 7.35, 401.5)),
         pos_std_ned=[[0.1, 0.2, 0.3], *[[0.4, 0.5, 0.6]] * 3],
     )
     same(
         found.reference,
+        began=found.origin.ns,
         t=[302400, 302401, 302402, 302403],
         llh=llh((46.5, 7.25, 400), (46.5, 7.25, 401), (46.5, 7.25, 402), (46.5, 7.25, 403)),
         vel_ned=[[1, 2, 3]] * 4,
@@ -219,11 +225,11 @@ def test_euroc_with_its_reference(tmp_path: Path) -> None:
     files(tmp_path, {"mav0/imu0/data.csv": imu, "mav0/state_groundtruth_estimate0/data.csv": pose})
     found = open_files(tmp_path, maps=("origin=46.5 7 400", "", ""))
     assert found.imu is not None and found.reference is not None
-    np.testing.assert_allclose(found.imu.t - UNIX, [0, 0.005, 0.01, 0.015], atol=5e-7)
+    np.testing.assert_allclose(found.imu.t + (found.origin.ns / 1e9 - UNIX), [0, 0.005, 0.01, 0.015], atol=5e-7)
     np.testing.assert_allclose(found.imu.gyro, [[0.1 * k, 0.2, -0.3] for k in range(4)])
     np.testing.assert_allclose(found.imu.accel, [[9.5, 0.4, -0.5]] * 4)
     assert found.imu.kind == "sample" and found.gnss is None
-    np.testing.assert_allclose(found.reference.t - UNIX, [0, 0.01, 0.02], atol=5e-7)
+    np.testing.assert_allclose(found.reference.t + (found.origin.ns / 1e9 - UNIX), [0, 0.01, 0.02], atol=5e-7)
     np.testing.assert_allclose(found.reference.llh, llh((46.5, 7, 400), (46.5, 7, 405), (46.5, 7, 410)), rtol=1e-11)
     np.testing.assert_allclose(found.reference.vel_ned, [[-2.5, 1.5, -k] for k in range(3)])
     turn = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]]) @ Rotation.from_quat(quaternion).as_matrix()
@@ -253,14 +259,22 @@ def test_gnss_ins_sim(tmp_path: Path) -> None:
     found = open_files(tmp_path)
     same(
         found.imu,
+        began=found.origin.ns,
         t=[0, 0.01, 0.02],
         gyro=np.arange(1, 10).reshape(3, 3) * DEG,
         accel=[[0.1, 0.2, -9.8], [0.3, 0.4, -9.7], [0.5, 0.6, -9.6]],
         kind="sample",
     )
-    same(found.gnss, t=[0, 0.01], llh=llh((46.5, 7, 400), (46.6, 7.1, 401)), vel_ned=[[1, 2, 3], [4, 5, 6]])
+    same(
+        found.gnss,
+        began=found.origin.ns,
+        t=[0, 0.01],
+        llh=llh((46.5, 7, 400), (46.6, 7.1, 401)),
+        vel_ned=[[1, 2, 3], [4, 5, 6]],
+    )
     same(
         found.reference,
+        began=found.origin.ns,
         t=[0, 0.01, 0.02],
         llh=llh((46.5, 7, 400), (46.5, 7, 401), (46.5, 7, 402)),
         vel_ned=[[1, 2, 3]] * 3,
@@ -283,7 +297,7 @@ def test_gnss_ins_sim_leaves_out_fixes_of_zero_and_takes_the_run_that_is_asked_f
     texts |= {"gyro-1.csv": texts["gyro-0.csv"].replace("9", "90"), "accel-1.csv": texts["accel-0.csv"]}
     files(tmp_path, texts)
     found = open_files(tmp_path)
-    same(found.gnss, t=[0.01], llh=[[0.5, 0.25, 401]], vel_ned=[[4, 5, 6]])
+    same(found.gnss, began=found.origin.ns, t=[0.01], llh=[[0.5, 0.25, 401]], vel_ned=[[4, 5, 6]])
     other = open_files(tmp_path, maps=("instance=1", "", ""))
     assert found.imu is not None and other.imu is not None
     assert (found.imu.gyro[2, 2], other.imu.gyro[2, 2]) == pytest.approx((9 * DEG, 90 * DEG), rel=1e-15)
@@ -344,12 +358,14 @@ def test_ppc(tmp_path: Path) -> None:
     assert found.imu is not None
     same(
         found.imu,
+        began=found.origin.ns,
         t=GPS + 0.01 * np.arange(3),
         gyro=np.array([[k, 2, 3] for k in range(3)]) * DEG,
         accel=[[0.1, 0.2, -9.8]] * 3,
     )
     same(
         found.reference,
+        began=found.origin.ns,
         t=GPS + np.arange(3),
         llh=llh((46.5, 7, 400), (46.5, 7, 401), (46.5, 7, 402)),
         vel_ned=[[1, 2, 3]] * 3,
@@ -381,6 +397,7 @@ def test_px4_csv(tmp_path: Path, new: bool) -> None:
     found = open_files(tmp_path)
     same(
         found.imu,
+        began=found.origin.ns,
         t=1.0 + 0.004 * np.arange(4),
         gyro=[[0.1 * k, 0.2, 0.3] for k in range(4)],
         accel=[[0.4, 0.5, -9.8]] * 4,
@@ -388,6 +405,7 @@ def test_px4_csv(tmp_path: Path, new: bool) -> None:
     )
     same(
         found.gnss,
+        began=found.origin.ns,
         t=[1.2, 1.4],
         llh=llh((46.5, -7.25, 400.5), (46.5, -7.25, 400.5)),
         vel_ned=[[1, 2, 3]] * 2,
@@ -431,6 +449,7 @@ def test_phyphox(tmp_path: Path) -> None:
     # the accelerometer has stamps of its own: from -0.01 to 0.03 s, one more each 0.02 s
     same(
         found.imu,
+        began=found.origin.ns,
         t=[0, 0.01, 0.02, 0.03],
         gyro=[[1, 2, k] for k in range(4)],
         accel=[[0.5, 0.5, 9.8], [1.0, 0.5, 9.8], [1.5, 0.5, 9.8], [2.0, 0.5, 9.8]],
@@ -438,6 +457,7 @@ def test_phyphox(tmp_path: Path) -> None:
     )
     same(
         found.gnss,
+        began=found.origin.ns,
         t=[0.0, 1.0],
         llh=llh((46.5, 7.25, 400.5), (46.6, 7.35, 401.5)),
         pos_std_ned=[[1, 1, 2], [2, 2, 5]],
@@ -463,7 +483,7 @@ def test_sensor_logger_adds_gravity(tmp_path: Path) -> None:
     files(tmp_path, texts)
     found = open_files(tmp_path)
     assert found.imu is not None
-    np.testing.assert_allclose(found.imu.t - UNIX, [0, 0.01, 0.02, 0.03], atol=5e-7)
+    np.testing.assert_allclose(found.imu.t + (found.origin.ns / 1e9 - UNIX), [0, 0.01, 0.02, 0.03], atol=5e-7)
     np.testing.assert_allclose(found.imu.gyro, [[1, 2, 3]] * 4)
     np.testing.assert_allclose(found.imu.accel, [[0.35, 0.7, -8.7 - k / 3] for k in range(4)], rtol=2e-6)
     assert found.notes == ("gravity was added to the acceleration without it (Gravity.csv)",)
@@ -487,10 +507,10 @@ def test_gnss_logger(tmp_path: Path) -> None:
     ]
     found = open_files(files(tmp_path, {"gnss_log.txt": "\n".join(lines) + "\n"}))
     assert found.imu is not None and found.gnss is not None and found.gnss.pos_std_ned is not None
-    np.testing.assert_allclose(found.imu.t - UNIX, [0, 0.01, 0.02, 0.03], atol=5e-7)
+    np.testing.assert_allclose(found.imu.t + (found.origin.ns / 1e9 - UNIX), [0, 0.01, 0.02, 0.03], atol=5e-7)
     np.testing.assert_allclose(found.imu.gyro, [[1, 2, k] for k in range(4)])
     np.testing.assert_allclose(found.imu.accel, [[0.1, 0.2, 9 + k / 10] for k in range(4)])
-    np.testing.assert_allclose(found.gnss.t - UNIX, [0], atol=5e-7)
+    np.testing.assert_allclose(found.gnss.t + (found.origin.ns / 1e9 - UNIX), [0], atol=5e-7)
     np.testing.assert_allclose(found.gnss.llh, llh((46.5, 7.25, 400.5)))
     np.testing.assert_allclose(found.gnss.pos_std_ned, [[1, 1, 1.5 * np.sqrt(2)]])
     assert found.notes == ("fixes: 1 of 2 rows hold no position; they were left out",)
@@ -522,6 +542,7 @@ def test_nmea_with_dates_and_standard_deviations(tmp_path: Path) -> None:
     found = open_files(files(tmp_path, {"a.nmea": text + "$GPGGA,115945.50,broken*00\r\n"}))
     same(
         found.gnss,
+        began=found.origin.ns,
         t=[UNIX, UNIX + 1.5],
         llh=llh((46.5, -7.25, 400.5), (-46.6, 7.35, 401.5)),
         pos_std_ned=[[0.1, 0.2, 0.3], [np.nan] * 3],
@@ -542,7 +563,7 @@ def test_nmea_without_dates_over_midnight(tmp_path: Path) -> None:
     )
     found = open_files(files(tmp_path, {"a.nmea": text}))
     assert found.gnss is not None
-    np.testing.assert_allclose(found.gnss.t, [86398, 86399, 86400, 86401])
+    np.testing.assert_allclose(found.origin.ns / 1e9 + found.gnss.t, [86398, 86399, 86400, 86401])
     assert found.notes == ("no sentence has a date: times are seconds of the day (UTC)",)
     with pytest.raises(InputError, match="holds no GGA sentence with a position"):
         open_files(files(tmp_path, {"b.nmea": _nmea(*["GPGGA,115944.50,,,,,0,0,,,M,,M,,"] * 2)}))
@@ -593,12 +614,14 @@ def test_ubx(tmp_path: Path, form: str) -> None:
     found = open_files(files(tmp_path, {"a.ubx": data}))
     same(
         found.imu,
+        began=found.origin.ns,
         t=302_400.0 + np.arange(4),
         gyro=np.array([[1 + k / 4096, -0.5, 0.25] for k in range(4)]) * DEG,
         accel=[[0.5, -0.25, -10.0]] * 4,
     )
     same(
         found.gnss,
+        began=found.origin.ns,
         t=302_400.0 + np.arange(4),
         llh=llh(*[(46.5, 7.25, 400.5)] * 4),
         vel_ned=[[1.5, -2.5, 0.25]] * 4,
@@ -634,6 +657,7 @@ def test_gpx(tmp_path: Path) -> None:
     found = open_files(files(tmp_path, {"a.gpx": text}))
     same(
         found.gnss,
+        began=found.origin.ns,
         t=UNIX + np.array([0, 1.5, 3.0]),
         llh=llh((46.5, 7.25, 400.5), (46.6, 7.35, 0.0), (46.7, 7.45, 402.0)),
     )
@@ -647,11 +671,12 @@ def test_kml(tmp_path: Path) -> None:
     coords = "<gx:coord>7.25 46.5 400.5</gx:coord><gx:coord>7.35 46.6</gx:coord>"
     text = f'<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"><gx:Track>{{}}{coords}</gx:Track></kml>'
     found = open_files(files(tmp_path, {"a.kml": text.format(whens)}))
-    same(found.gnss, t=[UNIX, UNIX + 1], llh=llh((46.5, 7.25, 400.5), (46.6, 7.35, 0.0)))
+    same(found.gnss, began=found.origin.ns, t=[UNIX, UNIX + 1], llh=llh((46.5, 7.25, 400.5), (46.6, 7.35, 0.0)))
     with pytest.raises(InputError, match=r"has positions without times; give their rate \(--map 'rate=1 Hz'\)"):
         open_files(files(tmp_path, {"b.kml": text.format("")}))
     same(
         open_files(tmp_path / "b.kml", maps=("rate=2 Hz", "", "")).gnss,
+        began=0,
         t=[0, 0.5],
         llh=llh((46.5, 7.25, 400.5), (46.6, 7.35, 0.0)),
     )
@@ -660,6 +685,7 @@ def test_kml(tmp_path: Path) -> None:
     line = "<kml><coordinates>7.25,46.5,400.5 7.35,46.6</coordinates></kml>"
     same(
         open_files(files(tmp_path, {"d.kml": line}), maps=("rate=2 Hz", "", "")).gnss,
+        began=0,
         t=[0, 0.5],
         llh=llh((46.5, 7.25, 400.5), (46.6, 7.35, 0.0)),
     )
@@ -675,7 +701,7 @@ def test_tum_trajectories(tmp_path: Path) -> None:
     )
     found = open_files(imu, truth=path, maps=("", "", "origin=46.5 7 400")).reference
     assert found is not None
-    np.testing.assert_allclose(found.t, [100, 100.5, 101])
+    np.testing.assert_array_equal(found.t, [0, 0.5, 1])
     np.testing.assert_allclose(found.llh, llh((46.5, 7, 400), (46.5, 7, 402), (46.5, 7, 404)), rtol=1e-11)
     np.testing.assert_allclose(found.vel_ned, [[0, 0, -4]] * 3, atol=1e-8)
     np.testing.assert_allclose(found.rpy, np.array([[0, 0, 90], [10, 0, 0], [0, 0, 90]]) * DEG, atol=1e-9)
@@ -700,6 +726,7 @@ def test_binary_records(tmp_path: Path, kind: str, gyro: float, accel: float) ->
     values = np.array(counts, dtype=float)
     same(
         found.imu,
+        began=found.origin.ns,
         t=302400 + 0.01 * np.arange(6),
         gyro=values[:, :3] * gyro,
         accel=values[:, 3:] * accel,
@@ -812,6 +839,7 @@ def test_bags(tmp_path: Path, ros: int, names: tuple[str, ...]) -> None:
     found = open_files(_bag(tmp_path, fixes, twists[::-1], names=names, ros=ros))
     same(
         found.imu,
+        began=found.origin.ns,
         t=1000 + 0.01 * np.arange(6),
         gyro=[[0.1 * k, -0.2, -0.3] for k in range(6)],
         accel=[[0.4, -0.5, -9.8]] * 6,
@@ -820,6 +848,7 @@ def test_bags(tmp_path: Path, ros: int, names: tuple[str, ...]) -> None:
     gone = [np.nan] * 3
     same(
         found.gnss,
+        began=found.origin.ns,
         t=[1000, 1001, 1003, 1004, 1005],
         llh=llh(*[(46.5, 7.25, h) for h in (400, 401, 403, 404, 405)]),
         vel_ned=[[2, 10, -3], [2, 20, -3], [2, 41, -3], gone, [2, 60, -3]],
@@ -861,16 +890,14 @@ def test_a_latitude_alone_is_no_position(tmp_path: Path) -> None:
 
 
 def test_a_topic_of_one_message_is_read() -> None:
-    stamp = SimpleNamespace(header=SimpleNamespace(stamp=SimpleNamespace(sec=7, nanosec=500_000_000)))
-    topic = SimpleNamespace(topic="/imu")
-    bag = SimpleNamespace(
-        connections=[topic],
-        messages=lambda connections: [(c, 0, b"raw") for c in connections],
-        deserialize=lambda raw, kind: stamp,
-    )
-    topic.msgtype = "Imu"
+    stamp = SimpleNamespace(header=SimpleNamespace(stamp=SimpleNamespace(sec=1_764_400_000, nanosec=5_000_001)))
+    topic = SimpleNamespace(topic="/imu", msgtype="Imu", id=1)
+    storage = SimpleNamespace(connections=[topic], messages=lambda connections: [(c, 0, b"raw") for c in connections])
+    bag = SimpleNamespace(is2=True, readers=[storage], connections=[topic], deserialize=lambda raw, kind: stamp)
     t, rows = rosbag._block(bag, "/imu", lambda message: [1.0, 2.0])
-    assert t.tolist() == [7.5] and rows.tolist() == [[1.0, 2.0]]
+    assert t.tolist() == [1_764_400_000_005_000_001] and rows.tolist() == [[1.0, 2.0]]
+    topic.topic = "/other"
+    storage.messages = lambda connections: []
     with pytest.raises(InputError, match="holds no message"):
         rosbag._block(bag, "/other", lambda message: [])
 

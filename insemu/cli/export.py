@@ -78,7 +78,7 @@ def _imu(file: str, target: Path, to: str) -> None:
 
     if not to:
         raise InputError(f"says no type of IMU; expected one of: {', '.join(IMU_BINARIES)}", where="--to")
-    write_imu_binary(target, read_imu(file), to)
+    write_imu_binary(target, read_imu(file, on_its_clock=True), to)
 
 
 def _track(file: str, target: Path, *, reference: bool, starts: str, outage: list[str]) -> None:
@@ -89,6 +89,7 @@ def _track(file: str, target: Path, *, reference: bool, starts: str, outage: lis
     from insemu.errors import InputError
     from insemu.formats import open_files, way_of, write_way
     from insemu.solve import way_of_solution
+    from insemu.stamps import OWN
 
     spans = []
     for text in outage:
@@ -105,7 +106,7 @@ def _track(file: str, target: Path, *, reference: bool, starts: str, outage: lis
         data = found.reference if reference or found.gnss is None else found.gnss
         if data is None:
             raise InputError("has neither fixes nor a reference", where=file)
-        way = way_of(data, Path(file).stem, spans)
+        way = way_of(data, Path(file).stem, spans, found.origin)
     if starts:
         try:
             when = datetime.fromisoformat(starts.replace("Z", "+00:00"))
@@ -114,5 +115,5 @@ def _track(file: str, target: Path, *, reference: bool, starts: str, outage: lis
                 f"is '{starts[:40]}', expected a date such as 2024-05-01T12:00:00Z", where="--starts"
             ) from None
         zero = (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
-        way = replace(way, t=way.t + zero, outages=[(a + zero, b + zero) for a, b in way.outages])
+        way = replace(way, t=way.t + zero, outages=[(a + zero, b + zero) for a, b in way.outages], origin=OWN)
     write_way(way, target)

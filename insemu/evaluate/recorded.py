@@ -70,7 +70,7 @@ class RecordedWorld:
         self.warnings = tuple(_repeated_rows(recording.imu, self.source.file))
         if recording.gnss is None:
             raise InputError("has no GNSS fixes, which the designs need", where=self.source.file)
-        self.recorded_imu = recording.imu
+        self.recorded_imu, self.origin = recording.imu, recording.origin
         C = rotation.dcm_from_rpy(self.source.mounting)
         self.vehicle_imu = self._in_vehicle(self.recorded_imu)
         self.warnings += tuple(_bridged(self.vehicle_imu, self.source.file))
@@ -124,7 +124,7 @@ class RecordedWorld:
     @cached_property
     def card(self) -> Card:
         """What the recording was taken for, in vehicle axes and on the scenario's clock."""
-        return examine(Recording(self.vehicle_imu, self.gnss, self.reference, self.source.file))
+        return examine(Recording(self.vehicle_imu, self.gnss, self.reference, self.source.file, origin=self.origin))
 
     @cached_property
     def alignment(self) -> Alignment:
@@ -187,7 +187,7 @@ class RecordedWorld:
             withheld |= Outage(start, duration).covers(gnss.t)
         kept = gnss.rows((gnss.t > self.alignment.t) & ~withheld)
         imu = cut(self.vehicle_imu, self.alignment)
-        return Recording(imu, kept, self.reference, self.source.file, self.aids, self.known)
+        return Recording(imu, kept, self.reference, self.source.file, self.aids, self.known, self.origin)
 
     def imu_for(self, imu: ImuRecord, ekf: NavigationFilter) -> ImuRecord:
         """The data of :meth:`recording` as one filter flies them: a bias that it knows better than the alignment is put back."""

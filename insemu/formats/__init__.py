@@ -17,6 +17,7 @@ import numpy as np
 
 from insemu.errors import InputError
 from insemu.formats import recording, static
+from insemu.formats.clocks import start_said, utc_of
 from insemu.formats.columns import guess_map, parse_map, preset_beside, read_preset, split_header, write_preset
 from insemu.formats.curves import NamedCurve, read_curves
 from insemu.formats.npz import keys_of, load_npz
@@ -29,6 +30,7 @@ from insemu.formats.table import Probe, known_readers, reader_of
 from insemu.formats.text import write_table
 from insemu.formats.tracks_out import Way, way_of, write_overlay, write_way
 from insemu.records import AXES, COLUMNS, ImuRecord, Recording, Series
+from insemu.stamps import SECOND
 
 __all__ = [
     "AXIS_OF_COLUMN",
@@ -54,6 +56,8 @@ __all__ = [
     "round_rate",
     "spell",
     "split_header",
+    "start_said",
+    "utc_of",
     "way_of",
     "write",
     "write_imu_binary",
@@ -178,8 +182,15 @@ def read_recording(path: str | Path) -> Recording:
     return _recording(Path(path))
 
 
-def read_imu(path: str | Path) -> ImuRecord:
+def read_imu(path: str | Path, *, on_its_clock: bool = False) -> ImuRecord:
     """The IMU of a recording, or of a static log with all six axes, whose values are taken as means over their intervals.
+
+    Parameters
+    ----------
+    path : path
+        As :func:`read`.
+    on_its_clock : bool
+        Times of the file's clock instead of those from the origin of the recording.
 
     Raises
     ------
@@ -189,7 +200,8 @@ def read_imu(path: str | Path) -> ImuRecord:
         No such file.
     """
     if layout_of(path) != "log":
-        return _recording(Path(path)).imu
+        found = _recording(Path(path))
+        return replace(found.imu, t=found.imu.t + found.origin.ns / SECOND) if on_its_clock else found.imu
     log = static.read_log(path).select(AXES)
     values = np.column_stack(log.columns)
     t = log.t if log.t is not None else np.arange(len(log)) / log.rate_hz

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from insemu.formats.columns import (
 )
 from insemu.formats.table import Table
 from insemu.records import GnssRecord, ImuKind, ImuRecord, Trajectory
+from insemu.stamps import SECOND, counted
 from insemu.units import parse, parse_unit, scaled_unit
 
 Array = NDArray[np.float64]
@@ -51,6 +52,8 @@ class Columns:
     Parameters
     ----------
     table : Table
+    start : int
+        ns on the table's clock from which ``t`` counts.
     t : (n,) array
         s.
     values : mapping of str to (n,) or (n, k) arrays
@@ -61,10 +64,21 @@ class Columns:
     """
 
     table: Table
+    start: int
     t: Array
     values: Mapping[str, Array]
     kind: ImuKind
     settings: Mapping[str, str]
+
+    @property
+    def first(self) -> float:
+        """The first time on the table's clock, s; 0 where there is none."""
+        return self.start / SECOND + float(self.t[0]) if self.t.size else 0.0
+
+    def since(self, start: int) -> Columns:
+        """The same rows with times from elsewhere, ns on the table's clock."""
+        moved = self.start - start
+        return replace(self, start=start, t=self.t + moved / SECOND) if moved else self
 
 
 def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
@@ -105,8 +119,9 @@ def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
         _say(role, found, units, story, table)
     kind = _kind(used.settings, integrals, where)
     rows = next(iter(values.values())).shape[0]
-    t = _times(table, used, names, rows, "gyro" in values or "accel" in values, story)
-    if t.size and 0.0 <= np.nanmin(t) and np.nanmax(t) <= clocks.WEEK + 1.0:
+    start, t = _times(table, used, names, rows, "gyro" in values or "accel" in values, story)
+    start += table.start
+    if t.size and 0.0 <= start / SECOND + np.nanmin(t) and start / SECOND + np.nanmax(t) <= clocks.WEEK + 1.0:
         t, ended = clocks.unwrapped_weeks(t)
         if ended:
             story.notes.append(f"the GPS week ended {ended} time(s) in {where}: 604800 s were added from there")
@@ -114,7 +129,7 @@ def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
     if not good.all():
         story.missing += int((~good).sum())
         t, values = t[good], {r: v[good] for r, v in values.items()}
-    return Columns(table, t, values, kind, used.settings)
+    return Columns(table, start, t, values, kind, used.settings)
 
 
 def _given(table: Table, user: ColumnMap) -> ColumnMap:
@@ -173,7 +188,8 @@ def _kind(settings: Mapping[str, str], integrals: Sequence[tuple[str, bool]], wh
     return stated or ("increment" if imu == {True} else "sample")  # type: ignore[return-value]
 
 
-def _times(table: Table, used: ColumnMap, names: list[str], rows: int, imu: bool, story: Story) -> Array:
+def _times(table: Table, used: ColumnMap, names: list[str], rows: int, imu: bool, story: Story) -> tuple[int, Array]:
+    """The first stamp in ns and the times from it in s."""
     settings = used.settings
     if "time" not in used.picks:
         if "rate" not in settings:
@@ -184,12 +200,14 @@ def _times(table: Table, used: ColumnMap, names: list[str], rows: int, imu: bool
         rate = parse(settings["rate"], "Hz")
         if not rate > 0:
             raise InputError(f"rate is {settings['rate']}, expected a positive one", where=table.name)
-        return np.asarray(np.arange(rows) / rate)
+        return 0, np.asarray(np.arange(rows) / rate)
     ((at, pick),) = resolve("time", used.picks["time"], names, table.name)
     stamps = np.asarray(table.columns[names[at]])
     unit = pick.unit if pick.unit is not None else table.units.get(names[at], "")
     unit = settings.get("time_unit", unit)
-    if unit:
+    if stamps.dtype.kind == "M":
+        scale = 1.0
+    elif unit:
         factor = scaled_unit(unit)
         if factor.dimension != parse_unit("s").dimension:
             raise InputError(
@@ -202,25 +220,16 @@ def _times(table: Table, used: ColumnMap, names: list[str], rows: int, imu: bool
         scale = parse_unit(unit).factor
         if unit != "s":
             story.assumed.append(f"stamps in {unit}: {evidence}")
-    t = _seconds(stamps, scale)
-    if "nanoseconds" in used.picks:
-        ((part, _),) = resolve("nanoseconds", used.picks["nanoseconds"], names, table.name)
-        t = t + 1e-9 * np.asarray(table.columns[names[part]], dtype=np.float64)
-    if "week" in used.picks:
-        ((week, _),) = resolve("week", used.picks["week"], names, table.name)
-        t = t + clocks.WEEK * np.asarray(table.columns[names[week]], dtype=np.float64)
-    return t
+    start, t = counted(stamps, scale)
+    for role, size in (("nanoseconds", 1e-9), ("week", clocks.WEEK)):
+        if role in used.picks:
+            ((part, _),) = resolve(role, used.picks[role], names, table.name)
+            more, since = counted(np.asarray(table.columns[names[part]]), size)
+            start, t = start + more, t + since
+    return start, t
 
 
-def _seconds(stamps: NDArray[Any], scale: float) -> Array:
-    """Stamps as seconds; whole ones of a small unit without the rounding of a float's 53 bits."""
-    if stamps.dtype.kind in "iu" and scale < 1.0:
-        per = round(1.0 / scale)
-        return np.asarray(stamps // per + (stamps % per) * scale, dtype=np.float64)
-    return np.asarray(stamps, dtype=np.float64) * scale
-
-
-def clock_of(columns: Columns, story: Story) -> str:
+def clock_of(columns: Columns) -> str:
     """Clock of a table: stated by the map, the format, the columns' names, or guessed from the size of its times."""
     stated = columns.settings.get("clock") or columns.table.clock
     if stated:
@@ -229,18 +238,14 @@ def clock_of(columns: Columns, story: Story) -> str:
         return stated
     if not columns.t.size:
         return ""
-    first = float(columns.t[0])
+    first = columns.first
     if "week" in columns.table.map.picks:
         return "gps"
     names = " ".join(columns.table.columns).lower()
     if 0 <= first < 2 * clocks.WEEK and ("tow" in names or "sow" in names):
         return "sow"
     if 8.0e8 < first < 4.2e9:
-        clock = "gps" if "gps" in names and "utc" not in names and first < 1.6e9 else "unix"
-        story.assumed.append(
-            f"the clock of {columns.table.name} is {clocks.CLOCKS[clock]}: its first stamp is {first:.0f} s"
-        )
-        return clock
+        return "gps" if "gps" in names and "utc" not in names and first < 1.6e9 else "unix"
     return ""
 
 
@@ -338,13 +343,14 @@ def numbers_of(text: str, count: int, where: str) -> Array:
 
 
 def imu_of(parts: Sequence[Columns], story: Story) -> ImuRecord:
-    """One record of the tables that hold gyroscope and accelerometer, together or apart (phones).
+    """One record of the tables that hold gyroscope and accelerometer, together or apart (phones); its times count from the first table's start.
 
     Raises
     ------
     InputError
         A sensor is missing; fewer than three rows; rows that are not finite.
     """
+    parts = [p.since(parts[0].start) for p in parts]
     both = next((p for p in parts if "gyro" in p.values and "accel" in p.values), None)
     if both is not None:
         first, accel = both, both.values["accel"]
@@ -374,14 +380,16 @@ def imu_of(parts: Sequence[Columns], story: Story) -> ImuRecord:
     rows = rows[_ordered(first.t[rows], story, "IMU")] if rows.size else rows
     if rows.size < 3:
         raise InputError(f"has {rows.size} usable row(s) of IMU data, expected at least 3", where=first.table.name)
-    t, gyro_values, accel = first.t[rows], gyro_values[rows], accel[rows]
+    t = first.t
+    if rows.size < t.size:
+        t, gyro_values, accel = t[rows], gyro_values[rows], accel[rows]
+        temperature = temperature if temperature is None else temperature[rows]
     turn = _mounting(first.settings, first.table.name)
     if turn is not None:
         gyro_values, accel = gyro_values @ turn.T, accel @ turn.T
         said = ", ".join(f"{k}={first.settings[k]}" for k in ("axes", "mount") if first.settings.get(k))
         story.taken.append(f"axes turned into forward-right-down ({said})")
     if temperature is not None:
-        temperature = temperature[rows]
         temperature = temperature if np.isfinite(temperature).all() else None
     if "shift" in first.settings:
         t = t + parse(first.settings["shift"], "s")

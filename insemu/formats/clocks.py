@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError
+from insemu.stamps import SECOND, Origin
 
 Array = NDArray[np.float64]
 
@@ -38,6 +39,31 @@ def leap_seconds(unix: float) -> int:
     18
     """
     return int(np.searchsorted(_LEAP_STARTS, unix, side="right"))
+
+
+def utc_of(origin: Origin) -> float | None:
+    """When time 0 was, in UTC s since 1970; None where the clock does not tell."""
+    if origin.clock == "unix":
+        return origin.ns / SECOND
+    if origin.clock != "gps":
+        return None
+    gps = origin.ns / SECOND + GPS_EPOCH
+    return gps - leap_seconds(gps - leap_seconds(gps))
+
+
+def start_said(origin: Origin) -> str:
+    """When time 0 was, in words; "" of a device's own clock that counts from 0.
+
+    >>> start_said(Origin(1_764_400_000_000_000_000, "unix"))
+    'time 0 is 2025-11-29 07:06:40 UTC, GPS time 18 s ahead'
+    """
+    seconds = origin.ns / SECOND
+    utc = utc_of(origin)
+    if utc is not None and 0.0 <= utc < 4.2e9:
+        when = datetime.fromtimestamp(utc, UTC).strftime("%Y-%m-%d %H:%M:%S")
+        return f"time 0 is {when} UTC, GPS time {leap_seconds(utc)} s ahead"
+    clock = CLOCKS[origin.clock]
+    return f"time 0 is {seconds:.15g} s of {clock}" if origin.ns or origin.clock else ""
 
 
 def unwrapped_weeks(t: Array) -> tuple[Array, int]:

@@ -17,6 +17,8 @@ from insemu.errors import InputError
 _COMPRESSED: Mapping[str, Callable[..., Any]] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
 #: Bytes that are looked at to tell what a file is.
 HEAD = 1 << 16
+#: What is refused: content that unpacks to more bytes than this, and to more than so many times the bytes of the file.
+UNPACKED, RATIO = 1 << 28, 100
 
 
 @contextmanager
@@ -54,10 +56,64 @@ def decoding(path: Path | str, what: str) -> Iterator[None]:
         raise InputError(f"cannot be read as {what} ({said})", where=str(path)) from None
 
 
+def check_unpacked(unpacked: int, packed: int, where: Path | str) -> None:
+    """Refuse what unpacks to more than :data:`UNPACKED` bytes and more than :data:`RATIO` times its packed size.
+
+    Parameters
+    ----------
+    unpacked, packed : int
+        Bytes.
+    where : path
+        Shown in the message.
+
+    Raises
+    ------
+    InputError
+        Such a file.
+    """
+    if unpacked > max(UNPACKED, RATIO * packed):
+        raise InputError(
+            f"unpacks to more than {max(UNPACKED, RATIO * packed) >> 20} MiB, more than {RATIO} times its {packed} bytes; "
+            "unpack it to read it all the same",
+            where=str(where),
+        )
+
+
+class _Unpacked(io.RawIOBase):
+    """What a compressed file unpacks to, as far as :func:`check_unpacked` lets it."""
+
+    def __init__(self, path: Path, file: IO[bytes]) -> None:
+        self._path, self._file, self._packed = path, file, path.stat().st_size
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        piece = self._file.read(len(buffer))
+        buffer[: len(piece)] = piece
+        check_unpacked(self._file.tell(), self._packed, self._path)
+        return len(piece)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        at = self._file.seek(offset, whence)
+        check_unpacked(at, self._packed, self._path)
+        return at
+
+    def close(self) -> None:
+        self._file.close()
+        super().close()
+
+
 def open_binary(path: Path) -> IO[bytes]:
-    """Open a file, compressed or not, for reading bytes; use it inside :func:`decoding`."""
+    """Open a file, compressed or not, for reading bytes; use it inside :func:`decoding`.
+
+    Reading raises :class:`~insemu.errors.InputError` as soon as a compressed file has unpacked to more than :func:`check_unpacked` allows.
+    """
     opener = _COMPRESSED.get(path.suffix.lower())
-    return opener(path, "rb") if opener else path.open("rb")
+    return io.BufferedReader(_Unpacked(path, opener(path, "rb")), 1 << 16) if opener else path.open("rb")
 
 
 def head_of(path: Path) -> bytes:

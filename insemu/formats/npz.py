@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError
-from insemu.formats.decoding import decoding
+from insemu.formats.decoding import check_unpacked, decoding
 
 
 def load_npz(path: Path) -> dict[str, NDArray[Any]]:
@@ -20,6 +20,8 @@ def load_npz(path: Path) -> dict[str, NDArray[Any]]:
         if not isinstance(file, np.lib.npyio.NpzFile):
             raise InputError("is one NumPy array, expected an archive of several", where=str(path))
         with file:
+            unpacked = sum(int(i.file_size) for i in file.zip.infolist()) if file.zip is not None else 0
+            check_unpacked(unpacked, path.stat().st_size, path)
             for key in file.files:
                 try:
                     arrays[key] = file[key]

@@ -26,6 +26,7 @@ from insemu.formats.columns import ColumnMap, read_preset
 from insemu.formats.decoding import decoding
 from insemu.formats.table import Reader, Table, reader_of
 from insemu.records import AidRecord, GnssRecord, ImuRecord, Recording, Trajectory
+from insemu.stamps import OWN, SECOND, Origin, counted
 from insemu.units import parse
 
 Array = NDArray[np.float64]
@@ -53,6 +54,8 @@ class Opened:
         Rows that were left out: repeated stamps, stamps that go back, no number.
     aids : tuple of AidRecord
         Measurements beside IMU and fixes, as they are in the file.
+    origin : Origin
+        When time 0 was: the second of the first row of the IMU, or of the fixes or the reference where there is none.
     """
 
     source: str
@@ -67,6 +70,7 @@ class Opened:
     backwards: int = 0
     missing: int = 0
     aids: tuple[AidRecord, ...] = ()
+    origin: Origin = OWN
 
     def recording(self) -> Recording:
         """The canonical recording; raises :class:`~insemu.errors.InputError` where there is no IMU."""
@@ -74,7 +78,7 @@ class Opened:
             raise InputError(
                 "holds no IMU data; name the file that does, and these fixes with --gnss", where=self.source
             )
-        return Recording(self.imu, self.gnss, self.reference, self.source, self.aids)
+        return Recording(self.imu, self.gnss, self.reference, self.source, self.aids, origin=self.origin)
 
 
 @dataclass(frozen=True)
@@ -121,14 +125,15 @@ def open_files(
     ]
     main, fixes, reference = files
     assert main is not None
-    clock, near = "", 0.0
+    origin = None
     imu = None
     inertial = [p for p in main.parts if {"gyro", "accel"} & set(p.values)]
     if inertial:
-        clock = clock_of(inertial[0], story)
+        clock = clock_of(inertial[0])
         with decoding(main.path, main.reader.name):
             imu = imu_of(inertial, story)
-        near = float(imu.t[0])
+        first, t = counted(imu.t)
+        origin, imu = Origin(inertial[0].start + first, clock), replace(imu, t=t)
     if (
         main.parts
         and main.parts[0].settings.get("rate")
@@ -138,16 +143,18 @@ def open_files(
         story.assumed.append(f"stamps from the rate of {main.parts[0].settings['rate']}")
     gnss_part = _positions(fixes or main, apart=fixes is not None)
     truth_part = _truth(reference or main, gnss_part, apart=reference is not None)
-    gnss_record = None
+    gnss_record, truth_record = None, None
     if gnss_part is not None and gnss_part is not truth_part:
         with decoding((fixes or main).path, (fixes or main).reader.name):
-            gnss_record = gnss_of(_on_clock(gnss_part, clock, near, story), story)
-    truth_record = None
+            gnss_part, origin = _on_clock(gnss_part, origin, story)
+            gnss_record = gnss_of(gnss_part, story)
     if truth_part is not None:
         with decoding((reference or main).path, (reference or main).reader.name):
-            truth_record = reference_of(_on_clock(truth_part, clock, near, story), story)
+            truth_part, origin = _on_clock(truth_part, origin, story)
+            truth_record = reference_of(truth_part, story)
     if imu is None and gnss_record is None and truth_record is None:
         raise unknown(max((p.table for p in main.parts), key=len), path)
+    assert origin is not None
     settings = main.parts[0].settings if main.parts else {}
     imu, gnss_record, truth_record = _span(settings, imu, gnss_record, truth_record, str(path))
     given = [f for f in files if f is not None]
@@ -163,7 +170,8 @@ def open_files(
         story.repeated,
         story.backwards,
         story.missing,
-        main.reader.aids(main.path) if imu is not None and main.reader.aids is not None else (),
+        _aids(main, origin) if imu is not None else (),
+        origin,
     )
 
 
@@ -239,20 +247,34 @@ def _truth(file: _File, fixes: Columns | None, *, apart: bool) -> Columns | None
     return None
 
 
-def _on_clock(part: Columns, clock: str, near: float, story: Story) -> Columns:
-    """Times of a table on the clock of the IMU."""
-    own = clock_of(part, story)
-    t = part.t
-    t, done = clocks.converted(t, own, clock, near)
+def _on_clock(part: Columns, origin: Origin | None, story: Story) -> tuple[Columns, Origin]:
+    """A table with times from the origin, on its clock; without one from the second of its own first row, and that as the origin."""
+    own = clock_of(part)
+    if origin is None:
+        first, t = counted(part.t)
+        return replace(part, start=part.start + first, t=t), Origin(part.start + first, own)
+    moved, done = clocks.converted(np.array([part.first]), own, origin.clock, origin.ns / SECOND)
     if done:
         story.notes.append(f"{part.table.name}: {done}")
-    return replace(part, t=t)
+    shift = round(float(moved[0]) - part.first) * SECOND  # clocks differ by whole seconds
+    return replace(part, start=part.start + shift).since(origin.ns), origin
+
+
+def _aids(file: _File, origin: Origin) -> tuple[AidRecord, ...]:
+    """Measurements beside IMU and fixes with times from the origin."""
+    if file.reader.aids is None:
+        return ()
+    since = (origin.ns - file.parts[0].table.start) / SECOND
+    return tuple(
+        replace(a, t=a.t - since, since=None if a.since is None else a.since - since)
+        for a in file.reader.aids(file.path)
+    )
 
 
 def _span(
     settings: object, imu: ImuRecord | None, gnss: GnssRecord | None, truth: Trajectory | None, where: str
 ) -> tuple[ImuRecord | None, GnssRecord | None, Trajectory | None]:
-    """Only what lies between ``from`` and ``to``."""
+    """Only what lies between ``from`` and ``to``, counted from the origin."""
     assert hasattr(settings, "get")
     first, last = settings.get("from"), settings.get("to")
     if first is None and last is None:

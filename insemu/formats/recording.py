@@ -6,7 +6,9 @@ Keys: ``imu_kind`` (increment, mean, sample; default sample), ``imu_t``, ``imu``
 ``_neu`` is the same with up instead of down. A state to start from may be given: ``initial_t``, ``initial_llh`` (deg, deg, m),
 ``initial_vel_ned``, ``initial_rpy_deg``, ``initial_sigma`` (nine: m, m/s, deg). Measurements beside the fixes, NAME of docs/filters.md,
 "Aids": ``aid_NAME_t`` (n,), ``aid_NAME`` and ``aid_NAME_std`` (n, rows), optionally ``aid_NAME_settings`` and ``aid_NAME_since`` (n,), SI.
-Other keys are ignored.
+Times count from ``origin_ns`` (whole ns) of ``origin_clock`` (gps, sow, unix; "" of a clock of the device's own) where a file states them;
+otherwise they are of a clock of its own, and where that began longer before than the recording lasts (s of the week, since 1970), the
+recording counts from the second of its first IMU row. Other keys are ignored.
 """
 
 from __future__ import annotations
@@ -20,11 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError
+from insemu.formats.clocks import CLOCKS
 from insemu.formats.columns import split_header
 from insemu.formats.decoding import decoding, open_text
 from insemu.formats.npz import keys_of, load_npy, load_npz, numbers, texts
 from insemu.formats.text import read_table, write_table
 from insemu.records import COLUMNS, AidRecord, GnssRecord, ImuKind, ImuRecord, InitialState, Recording, Trajectory
+from insemu.stamps import OWN, Origin
 from insemu.units import parse_unit
 from insemu.whole import replacing, replacing_folder
 
@@ -96,7 +100,30 @@ def read_recording(path: Path) -> Recording:
         aids = _aids(arrays, source)
     except InputError as error:
         raise error if error.where else InputError(error.message, where=source) from None
-    return Recording(imu, gnss, reference, source, aids, _initial(arrays, source))
+    found = Recording(imu, gnss, reference, source, aids, _initial(arrays, source), origin_of(arrays, source))
+    return found if "origin_ns" in arrays else found.from_start()
+
+
+def origin_of(arrays: Mapping[str, NDArray[Any]], source: str) -> Origin:
+    """The origin that a recording states; that of its own clock where it states none.
+
+    Raises
+    ------
+    InputError
+        No whole number of ns, or a clock that nobody knows.
+    """
+    if "origin_ns" not in arrays:
+        return OWN
+    ns = arrays["origin_ns"]
+    if ns.dtype.kind not in "iu" or ns.size != 1:
+        raise InputError(
+            f"has type {ns.dtype} and shape {ns.shape}, expected one whole number", where=f"{source}: origin_ns"
+        )
+    where = f"{source}: origin_clock"
+    clock = texts(arrays["origin_clock"], where)[0] if "origin_clock" in arrays else ""
+    if clock not in CLOCKS:
+        raise InputError(f"unknown clock '{clock[:40]}', expected one of: gps, sow, unix", where=where)
+    return Origin(int(ns.reshape(())), clock)
 
 
 def aids_of(path: Path) -> tuple[AidRecord, ...]:
@@ -303,7 +330,7 @@ def folder_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _group(file: Path, group: str, keys: Mapping[str, tuple[str, ...]]) -> dict[str, NDArray[Any]]:
-    header, block = read_table(file)
+    header, read = read_table(file)
     if header is None:
         raise InputError("has no header; expected names of columns, with units in brackets", where=str(file))
     columns: dict[str, Array] = {}
@@ -314,7 +341,7 @@ def _group(file: Path, group: str, keys: Mapping[str, tuple[str, ...]]) -> dict[
         name = _ALIASES.get(name, name)
         if name in columns:
             raise InputError(f"column '{name}' appears more than once", where=str(file))
-        columns[name] = block[:, k]
+        columns[name] = read[k]
         if name in COLUMNS:
             units[name] = unit
         elif unit:
@@ -371,19 +398,23 @@ def write_recording(path: Path, data: Recording) -> None:
     for aid in data.aids:
         parts = {"_t": aid.t, "": aid.values, "_std": aid.std, "_settings": np.array(aid.settings), "_since": aid.since}
         arrays |= {f"aid_{aid.kind}{k}": v for k, v in parts.items() if v is not None and v.size}
+    if data.origin != OWN or data.from_start() is not data:
+        arrays |= {"origin_ns": np.array(data.origin.ns), "origin_clock": np.array(data.origin.clock)}
     if path.suffix == ".npz":
         with replacing(path) as partial:
             np.savez(partial, **arrays)  # type: ignore[arg-type]
         return
     groups = tuple(f"{group}.csv" for group in _GROUPS)
-    with replacing_folder(path, "imu.csv", (*groups, "imu_kind.txt", "initial_*.npy", "aid_*.npy")) as partial:
+    with replacing_folder(
+        path, "imu.csv", (*groups, "imu_kind.txt", "initial_*.npy", "aid_*.npy", "origin_*.npy")
+    ) as partial:
         (partial / "imu_kind.txt").write_text(imu.kind + "\n", encoding="utf-8")
         for group, keys in _GROUPS.items():
             present = {k: names for k, names in keys.items() if k in arrays and not k.endswith("_neu")}
             if present:
                 header = [_with_unit(n, imu.kind) for names in present.values() for n in names]
                 write_table(partial / f"{group}.csv", header, np.column_stack([arrays[k] for k in present]))
-        for key in (k for k in arrays if k.startswith(("initial_", "aid_"))):
+        for key in (k for k in arrays if k.startswith(("initial_", "aid_", "origin_"))):
             np.save(partial / f"{key}.npy", arrays[key])
 
 

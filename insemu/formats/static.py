@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import mmap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -289,7 +289,7 @@ def _npz(path: Path) -> _Parts:
         block = block[:, None]
     if block.ndim != 2:
         raise InputError(f"has shape {block.shape}, expected (n, k)", where=f"{where}: {key}")
-    if "columns" not in arrays and key == "data" and t is None and (at := _unnamed_time(block)) is not None:
+    if "columns" not in arrays and key == "data" and t is None and (at := _unnamed_time(list(block.T))) is not None:
         t, block = _times(block[:, at], "", "", path), np.delete(block, at, axis=1)
     width = block.shape[1]
     names = texts(arrays["columns"], f"{where}: columns") if "columns" in arrays else _default_names(width, path)
@@ -317,7 +317,7 @@ def _npy(path: Path) -> _Parts:
         )
     if block.ndim == 1:
         return [path.stem], [""], [block], None, None
-    at = _unnamed_time(block)
+    at = _unnamed_time(list(block.T))
     keep = [k for k in range(block.shape[1]) if k != at]
     t = None if at is None else _times(block[:, at], "", "", path)
     return _default_names(len(keep), path), [""] * len(keep), [block[:, k] for k in keep], t, None
@@ -351,11 +351,11 @@ def _csv_once(path: Path) -> _Parts:
 
 
 def _csv(path: Path) -> _Parts:
-    header, block = read_table(path)
+    header, columns = read_table(path)
     if header is None:
-        at = _unnamed_time(block)
-        width = block.shape[1] - (at is not None)
-        names, units = _default_names(width, path), [""] * width
+        at = _unnamed_time(columns)
+        names = _default_names(len(columns) - (at is not None), path)
+        units = [""] * len(names)
         if at is not None:
             names.insert(at, "")
             units.insert(at, "")
@@ -366,23 +366,23 @@ def _csv(path: Path) -> _Parts:
         if (
             at is None
             and set(words_of(names[0])) & {"time", "timestamp", "stamp", "tow", "sow"}
-            and _is_time(block[:, 0], even=False)
+            and _is_time(columns[0], even=False)
         ):
             at = 0
     t = None
     if at is not None and len(names) > 1:
-        t = _times(block[:, at], names[at], units[at], path)
-        block = np.delete(block, at, axis=1)
+        t = _times(columns.pop(at), names[at], units[at], path)
         del names[at], units[at]
-    return names, units, list(np.ascontiguousarray(block.T)), t, None
+    return names, units, [np.asarray(c, dtype=np.float64) for c in columns], t, None
 
 
-def _unnamed_time(block: NDArray[Any]) -> int | None:
-    """The column of a block without names that is its time: the first or the last."""
-    if block.shape[1] < 2:
+def _unnamed_time(columns: Sequence[NDArray[Any]]) -> int | None:
+    """The column without a name that is the time: the first or the last."""
+    if len(columns) < 2:
         return None
-    head = block[:100_000]
-    return next((k for k in (0, block.shape[1] - 1) if _is_time(np.asarray(head[:, k], dtype=np.float64))), None)
+    return next(
+        (k for k in (0, len(columns) - 1) if _is_time(np.asarray(columns[k][:100_000], dtype=np.float64))), None
+    )
 
 
 def _times(stamps: NDArray[Any], name: str, unit: str, path: Path) -> Array:

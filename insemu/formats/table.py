@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from insemu.formats.columns import ColumnMap, guess_map, split_header
 from insemu.formats.decoding import decoding, encoding_of, head_of, open_text
+from insemu.formats.text import joined, pieces
 from insemu.records import AidRecord
 from insemu.units import parse_unit
 
@@ -39,6 +40,8 @@ class Table:
         What the format leaves open and the reader takes for granted, to be printed.
     notes : tuple of str
         What else should be said.
+    start : int
+        ns on that clock from which the stamps count.
     """
 
     name: str
@@ -48,6 +51,7 @@ class Table:
     clock: str = ""
     assumed: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    start: int = 0
 
     def __len__(self) -> int:
         return max((c.shape[0] for c in self.columns.values()), default=0)
@@ -161,7 +165,7 @@ def read_delimited(
     """Read delimited text of any kind into columns.
 
     The header may be a comment (``#timestamp [ns],...``), units stand in brackets; comma, semicolon, tab or blanks separate; decimal
-    commas are read where semicolons separate; dates become seconds since 1970.
+    commas are read where semicolons separate; dates are columns of ``datetime64[ns]`` in UTC.
 
     Parameters
     ----------
@@ -185,35 +189,35 @@ def read_delimited(
         No text, no rows, or rows of differing lengths.
     """
     with decoding(path, "delimited text"):
-        import pandas as pd
-
         header, delimiter, skip, decimal = _layout(path, comments)
+        parts: list[list[NDArray[Any] | None]] = []
+        rows: list[int] = []
         with open_text(path) as file:
-            frame = pd.read_csv(
+            for frame in pieces(
                 file,
                 sep=delimiter or r"\s+",
-                header=None,
                 skiprows=skip,
-                skip_blank_lines=True,
-                skipinitialspace=True,
-                comment=None,
                 decimal=decimal,
-                low_memory=False,
                 index_col=False,
-            )
-        if frame.empty:
+                **({"chunksize": None} if text else {}),  # what is text is seen of the whole
+            ):
+                parts = parts or [[] for _ in range(frame.shape[1])]
+                rows.append(len(frame))
+                for k, part in enumerate(parts):
+                    part.append(_values(frame.iloc[:, k], text))
+        if not sum(rows):
             raise ValueError("no rows")
-        if delimiter == ",":  # a comma at the end of every line
-            frame = frame.dropna(axis=1, how="all") if header and frame.shape[1] == len(header) + 1 else frame
-        cells = header if header and len(header) == frame.shape[1] else None
+        found = [_joined(part, rows) for part in parts]
+        if delimiter == "," and header and len(found) == len(header) + 1:  # a comma at the end of every line
+            found = [c for c in found if c is None or c.dtype.kind != "f" or np.isfinite(c).any()]
+        cells = header if header and len(header) == len(found) else None
         given = list(names) if names is not None and cells is None else None
         if header and cells is None and given is None:
-            raise ValueError(f"{len(header)} names in the header and {frame.shape[1]} cells in the rows")
-        named = [split_header(c) for c in cells] if cells else [(n, "") for n in given or _numbered(frame.shape[1])]
+            raise ValueError(f"{len(header)} names in the header and {len(found)} cells in the rows")
+        named = [split_header(c) for c in cells] if cells else [(n, "") for n in given or _numbered(len(found))]
         columns: dict[str, NDArray[Any]] = {}
         units: dict[str, str] = {}
-        for k, (name, unit) in enumerate(named[: frame.shape[1]]):
-            values = _values(frame.iloc[:, k], text)
+        for k, ((name, unit), values) in enumerate(zip(named, found, strict=False)):
             if values is None:
                 continue
             label = name or f"column_{k + 1}"
@@ -222,6 +226,18 @@ def read_delimited(
             if unit:
                 units[label] = unit
     return columns, units, cells is not None
+
+
+def _joined(part: list[NDArray[Any] | None], rows: Sequence[int]) -> NDArray[Any] | None:
+    """A column from its pieces; where some are text, their rows are NaN, or the column is text (None) where most are."""
+    numbers = sum(n for p, n in zip(part, rows, strict=True) if p is not None)
+    if numbers <= 0.5 * sum(rows):
+        return None
+    kind = np.result_type(*(p for p in part if p is not None))
+    empty = np.datetime64("NaT") if kind.kind == "M" else np.nan
+    (column,) = joined([[np.full(n, empty) if p is None else p for p, n in zip(part, rows, strict=True)]])
+    part.clear()
+    return column
 
 
 def _numbered(width: int) -> list[str]:
@@ -274,7 +290,7 @@ def _numeric(cell: str, decimal: str) -> bool:
 
 
 def _values(series: Any, text: bool) -> NDArray[Any] | None:
-    """A column as numbers: dates as seconds since 1970; None of text."""
+    """A column as numbers, or as dates in UTC; None of text."""
     import pandas as pd
 
     if series.dtype.kind in "iuf":
@@ -292,8 +308,7 @@ def _values(series: Any, text: bool) -> NDArray[Any] | None:
             warnings.simplefilter("ignore")
             dates = pd.to_datetime(series, errors="coerce", utc=True)
         if dates.notna().mean() > 0.5:
-            stamps = dates.dt.as_unit("ns")
-            return np.asarray(np.where(dates.notna(), stamps.astype("int64") / 1e9, np.nan), dtype=np.float64)
+            return np.asarray(dates.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]"))
     return np.asarray(series.astype(str).to_numpy()) if text else None
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import gzip
-import warnings
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,8 @@ from insemu.whole import put
 
 Array = NDArray[np.float64]
 
+#: Rows of text that are read at once.
+PIECE = 1 << 17
 _SUFFIXES = (".csv", ".txt", ".tsv", ".dat")
 _MISSING = ("", "nan", "na", "null", "none", "-nan")
 
@@ -37,9 +41,39 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def read_table(path: Path) -> tuple[list[str] | None, Array]:
-    """Return the header cells (None where the first line is numbers) and the (n, k) block; empty cells are NaN.
+def pieces(file: IO[str], **options: Any) -> Iterator[Any]:
+    """Yield delimited text as pandas frames of at most :data:`PIECE` rows, so that only the columns are ever held as a whole.
 
+    Numbers are the nearest floats; columns of whole numbers stay integers.
+
+    Parameters
+    ----------
+    file : text file
+        At the first row; there is no header.
+    **options
+        For ``pandas.read_csv``: ``sep``, ``names``, ``comment``, ``decimal``, ...
+    """
+    import pandas as pd
+
+    exact = {} if pd.__version__ >= "3.1" else {"float_precision": "round_trip"}  # from 3.1 on it always is
+    options = {"chunksize": PIECE, "header": None, "skipinitialspace": True, "low_memory": False, **exact, **options}
+    frames = pd.read_csv(file, **options)
+    yield from frames if options["chunksize"] else [frames]
+
+
+def joined(parts: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
+    """Columns from their pieces, which are let go one column after the other."""
+    out = []
+    for part in parts:
+        out.append(part[0] if len(part) == 1 else np.concatenate(part))
+        part.clear()
+    return out
+
+
+def read_table(path: Path) -> tuple[list[str] | None, list[NDArray[Any]]]:
+    """Return the header cells (None where the first line is numbers) and the k columns (n,); empty cells are NaN.
+
+    Columns of whole numbers are integers, so that stamps in ns keep all their digits.
     Lines that start with ``#`` or ``%`` and empty lines before the header are skipped.
 
     Raises
@@ -59,23 +93,46 @@ def read_table(path: Path) -> tuple[list[str] | None, Array]:
             delimiter = _delimiter(line)
             cells = [c.strip().strip('"') for c in (line.strip().split(delimiter) if delimiter else _single(line))]
             header = None if all(_is_number(c) or c.lower() in _MISSING for c in cells) else cells
-            first = skipped + (header is not None)
-            if header is None:
-                file.seek(0)
-                for _ in range(skipped):
-                    file.readline()
-            try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore", UserWarning)  # "no data": said below, with the file's name
-                    block = np.loadtxt(file, delimiter=delimiter, ndmin=2, dtype=np.float64)
-            except ValueError:
-                block = None
-    if header is not None and delimiter is None and block is not None and block.size and block.shape[1] == 1:
-        header = cells = [line.strip().strip('"')]  # one column: its header may hold blanks
-    if block is None or block.size == 0 or block.shape[1] != len(cells):
-        with decoding(path, "text"):
-            block = _slow(path, delimiter, first, len(cells))
-    return header, block
+            row = next((x for x in file if x.strip() and x.lstrip()[0] not in "#%"), "")
+        if header is not None and delimiter is None and len(row.split()) == 1:
+            header = cells = [line.strip().strip('"')]  # one column: its header may hold blanks
+        first = skipped + (header is not None)
+        columns = _fast(path, delimiter, first, len(cells))
+        if columns is None:
+            columns = list(np.ascontiguousarray(_slow(path, delimiter, first, len(cells)).T))
+    return header, columns
+
+
+def _fast(path: Path, delimiter: str | None, first: int, width: int) -> list[NDArray[Any]] | None:
+    """Columns of well-formed numbers; None where anything else is in them, or a line is short."""
+    parts: list[list[NDArray[Any]]] = [[] for _ in range(width)]
+    with open_text(path) as file:
+        for _ in range(first):
+            file.readline()
+        missing = [v for m in _MISSING for v in {m, m.upper(), m.capitalize(), m.replace("nan", "NaN")}]
+        names = list(range(width))
+        try:
+            for frame in pieces(
+                file, sep=delimiter or r"\s+", names=names, comment="#", keep_default_na=False, na_values=missing
+            ):
+                found = [frame[k].to_numpy() for k in names]
+                if frame.index.start != sum(p.size for p in parts[0]) or any(c.dtype.kind not in "iuf" for c in found):
+                    return None
+                for part, column in zip(parts, found, strict=True):
+                    part.append(column)
+        except InputError:
+            raise
+        except (ValueError, OverflowError, AttributeError):  # an index that is no range: the first line is too long
+            return None
+    columns = joined(parts)
+    return None if np.isnan(columns[-1].max()) and _short(path, delimiter, first, width) else columns
+
+
+def _short(path: Path, delimiter: str | None, first: int, width: int) -> bool:
+    """Whether a line has another number of cells; where the last column has all its numbers, none can be short."""
+    with open_text(path) as file:
+        lines = (x for x in islice(file, first, None) if x.strip() and x.lstrip()[0] not in "#%")
+        return any(len(x.rstrip("\r\n").split(delimiter)) != width for x in lines)
 
 
 def _single(line: str) -> list[str]:

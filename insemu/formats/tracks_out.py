@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from insemu import earth, rotation
 from insemu.errors import InputError
-from insemu.formats.clocks import GPS_EPOCH, WEEK, leap_seconds
+from insemu.formats.clocks import GPS_EPOCH, WEEK, leap_seconds, utc_of
 from insemu.formats.text import write_table
 from insemu.records import GnssRecord, Trajectory
+from insemu.stamps import OWN, Origin
 from insemu.whole import put
 
 Array = NDArray[np.float64]
@@ -28,7 +29,7 @@ class Way:
     Parameters
     ----------
     t : (n,) array
-        s since 1970 (UTC) where the formats need dates.
+        s from the origin; where that tells no date, formats with dates take them as s since 1970 (UTC).
     llh : (n, 3) array
         rad, rad, m.
     velocity, rpy, sigma : (n, 3) arrays, optional
@@ -36,6 +37,8 @@ class Way:
     name : str
     outages : sequence of (start, end)
         In the time of ``t``; drawn in another colour where the format has colours.
+    origin : Origin
+        When time 0 was.
     """
 
     t: Array
@@ -45,9 +48,17 @@ class Way:
     sigma: Array | None = None
     name: str = "track"
     outages: Sequence[tuple[float, float]] = ()
+    origin: Origin = OWN
+
+    @property
+    def utc(self) -> Array:
+        """Times in s since 1970 (UTC)."""
+        return self.t + (utc_of(self.origin) or 0.0)
 
 
-def way_of(data: GnssRecord | Trajectory, name: str, outages: Sequence[tuple[float, float]] = ()) -> Way:
+def way_of(
+    data: GnssRecord | Trajectory, name: str, outages: Sequence[tuple[float, float]] = (), origin: Origin = OWN
+) -> Way:
     """The track of fixes or of a reference.
 
     Parameters
@@ -58,15 +69,17 @@ def way_of(data: GnssRecord | Trajectory, name: str, outages: Sequence[tuple[flo
         Of the track.
     outages : sequence of (start, end)
         In the time of ``data``, s.
+    origin : Origin
+        When time 0 of the data was.
     """
     if isinstance(data, Trajectory):
-        return Way(data.t, data.llh, data.vel_ned, data.rpy, None, name, outages)
+        return Way(data.t, data.llh, data.vel_ned, data.rpy, None, name, outages, origin)
     good = np.isfinite(data.llh).all(axis=1)
 
     def cut(values: Array | None) -> Array | None:
         return None if values is None else values[good]
 
-    return Way(data.t[good], data.llh[good], cut(data.vel_ned), None, cut(data.pos_std_ned), name, outages)
+    return Way(data.t[good], data.llh[good], cut(data.vel_ned), None, cut(data.pos_std_ned), name, outages, origin)
 
 
 def _tum(way: Way, path: Path) -> None:
@@ -90,9 +103,9 @@ def _tum(way: Way, path: Path) -> None:
 
 
 def _stamps(way: Way, path: Path) -> list[str]:
-    if not 1.0e8 < float(way.t[0]) < 4.2e9:
-        raise InputError(f"times begin at {way.t[0]:g} s, expected seconds since 1970 (UTC)", where=str(path))
-    return [datetime.fromtimestamp(round(float(t), 6), UTC).isoformat().replace("+00:00", "Z") for t in way.t]
+    if not 1.0e8 < float(way.utc[0]) < 4.2e9:
+        raise InputError(f"times begin at {way.utc[0]:g} s, expected seconds since 1970 (UTC)", where=str(path))
+    return [datetime.fromtimestamp(round(float(t), 6), UTC).isoformat().replace("+00:00", "Z") for t in way.utc]
 
 
 def _gpx(way: Way, path: Path) -> None:
@@ -196,7 +209,7 @@ def _line(name: str, llh: Array, style: str) -> str:
 def _pos(way: Way, path: Path) -> None:
     """An RTKLIB solution in GPS week and seconds."""
     _stamps(way, path)
-    gps = way.t - GPS_EPOCH + leap_seconds(float(way.t[0]))
+    gps = way.utc - GPS_EPOCH + leap_seconds(float(way.utc[0]))
     week = np.floor(gps / WEEK)
     sigma = way.sigma if way.sigma is not None else np.full((way.t.size, 3), np.nan)
     degrees = way.llh * [180 / np.pi, 180 / np.pi, 1.0]

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from insemu import formats
-from insemu.formats import Log, Opened
+from insemu.formats import Log, Opened, start_said
 from insemu.intake import checks
 from insemu.intake import fixes as fixed
 from insemu.intake.card import Card, Level, Line
@@ -46,9 +46,12 @@ def _examined(data: Opened | Recording | Log, kind: str) -> Card:
     if isinstance(data, Log):
         return Card(data.source, kind or "static log", tuple(_log_lines(data)))
     if isinstance(data, Recording):
-        data = Opened(data.source, kind or "recording", data.imu, data.gnss, data.reference, aids=data.aids)
+        data = Opened(
+            data.source, kind or "recording", data.imu, data.gnss, data.reference, aids=data.aids, origin=data.origin
+        )
     lines = [Line("taken", "ok", text) for text in data.taken]
     lines += [Line("assumed", "assumed", text) for text in data.assumed]
+    lines += [Line("start", "ok", text) for text in [start_said(data.origin)] if text]
     lines += [Line("done", "odd" if "left out" in text else "ok", text) for text in data.notes]
     unstated = {role for role in ("gyro", "accel", "vel") for a in data.assumed if a.startswith(role)}
     found = fixed.agreement(data.gnss) if data.gnss is not None else None

@@ -16,6 +16,7 @@ from insemu.filters import start as start_of
 from insemu.intake import Card
 from insemu.lost import restored
 from insemu.records import AidRecord, GnssRecord, ImuRecord, InitialState, Recording
+from insemu.stamps import OWN, Origin
 
 Array = NDArray[np.float64]
 
@@ -54,6 +55,8 @@ class Drive:
         Further measurements; an initial state of the file.
     start : Alignment, optional
         Where the filters start.
+    origin : Origin
+        When time 0 was.
     """
 
     imu: ImuRecord
@@ -68,6 +71,7 @@ class Drive:
     aids: tuple[AidRecord, ...] = ()
     known: InitialState | None = None
     start: Alignment | None = None
+    origin: Origin = OWN
 
     @property
     def aligned(self) -> Alignment:
@@ -162,6 +166,7 @@ def prepared(recording: Recording, lever_arm: ArrayLike = (0.0, 0.0, 0.0)) -> Dr
         gnss.pos_std_ned is not None,
         aids=recording.aids,
         known=recording.initial,
+        origin=recording.origin,
     )
 
 

@@ -10,12 +10,13 @@ import numpy as np
 
 from insemu import formats, noise, rotation
 from insemu.errors import InputError
-from insemu.formats import Way, write_table, write_way
+from insemu.formats import Way, utc_of, write_table, write_way
 from insemu.records import Recording
 from insemu.shown import finite
 from insemu.solve.against import Comparison
 from insemu.solve.outages import Outages
 from insemu.solve.solution import Solution
+from insemu.stamps import Origin
 from insemu.whole import replacing
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 
 #: The file that holds filter, smoother and outages.
 SOLUTION = "solution.nc"
-#: Times above this are dates (s since 1970); tracks with dates are written then.
-DATES_FROM = 1.0e8
 #: Outages that are coloured in a track.
 COLOURED = 5
 
@@ -105,7 +104,12 @@ def dataset(solution: Solution) -> xr.Dataset:
             "outage": o.start,
             "horizon": o.horizons,
         },
-        attrs={"source": solution.drive.source, "design": solution.taken.candidate.name},
+        attrs={
+            "source": solution.drive.source,
+            "design": solution.taken.candidate.name,
+            "origin_ns": solution.drive.origin.ns,
+            "origin_clock": solution.drive.origin.clock,
+        },
     )
 
 
@@ -125,7 +129,8 @@ def way_of_solution(folder: Path) -> Way:
         of = {name: np.asarray(held[name].values, dtype=np.float64) for name in ("t", "llh", "vel_ned", "rpy", "sigma")}
         spans = [(float(a), float(b)) for a, b in held["worst_outages"].values]
         name = Path(str(held.attrs["source"]).split(",")[0]).stem
-    return Way(of["t"], of["llh"], of["vel_ned"], of["rpy"], of["sigma"][:, :3], name, spans)
+        origin = Origin(int(held.attrs["origin_ns"]), str(held.attrs["origin_clock"]))
+    return Way(of["t"], of["llh"], of["vel_ned"], of["rpy"], of["sigma"][:, :3], name, spans, origin)
 
 
 def worst_outages(o: Outages, count: int) -> list[tuple[float, float, float]]:
@@ -167,10 +172,10 @@ def write(solution: Solution, folder: Path) -> list[Path]:
         dataset(solution).to_netcdf(partial, engine="h5netcdf")
     out.append(folder / SOLUTION)
     way = way_of_solution(folder)
-    dated = (".kml", ".gpx", ".pos") if way.t[0] > DATES_FROM else ()
+    dated = (".kml", ".gpx", ".pos") if utc_of(way.origin) is not None else ()
     out += [write_way(way, folder / f"trajectory{end}") for end in (".csv", ".tum", *dated)]
     # on the clock of the fixes, so that the solution, the fixes and the IMU agree
-    solved = Recording(d.imu, d.gnss, replace(s.trajectory, name="solution"), d.source, d.aids)
+    solved = Recording(d.imu, d.gnss, replace(s.trajectory, name="solution"), d.source, d.aids, origin=d.origin)
     out.append(formats.write(folder / "solved.npz", solved))
     noise.save(dict(solution.taken.candidate.belief), folder / "models.yaml")
     o = solution.taken.outages

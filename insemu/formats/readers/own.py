@@ -6,6 +6,7 @@ Commands that compute read them strictly (:mod:`insemu.formats.recording`, :mod:
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -52,11 +53,13 @@ def _read_recording(path: Path, settings: Mapping[str, str]) -> list[Table]:
     line = f"{_IMU}, kind={kind}"
     if "temperature" in arrays and arrays["temperature"].shape == columns["t"].shape:
         columns["temperature"], line = arrays["temperature"], line + ", temperature=temperature"
-    tables = [Table("imu", columns, dict(zip(names, units, strict=True)), parse_map(line))]
+    origin = recording.origin_of(arrays, str(path))
+    stated = dict(zip(names, units, strict=True))
+    tables = [Table("imu", columns, stated, parse_map(line), origin.clock, start=origin.ns)]
     for group, place in (("gnss", "gnss_llh"), ("ref", "ref_llh")):
         if place in arrays and f"{group}_t" in arrays:
             table = _positions(arrays, group, path)
-            tables += [table] if table is not None else []
+            tables += [replace(table, clock=origin.clock, start=origin.ns)] if table is not None else []
     return tables
 
 

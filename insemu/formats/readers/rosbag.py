@@ -1,6 +1,6 @@
 """ROS 1 and ROS 2 bags and MCAP by ``rosbags``, without ROS: ``sensor_msgs/Imu``, ``sensor_msgs/NavSatFix``, twists.
 
-Messages of one length are read through one structured view of all of them; others message by message. Axes are forward-left-up (REP 103), the
+Messages of one length are read piece by piece through one structured view; others message by message. Axes are forward-left-up (REP 103), the
 local frame is east-north-up, unless the map says otherwise.
 """
 
@@ -14,14 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError, nearest
+from insemu.formats.bags import indexless, pieces
 from insemu.formats.columns import parse_map
 from insemu.formats.table import Probe, Reader, Table, register
 
 _IMU, _FIX = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix"
 _VELOCITY = ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/TwistWithCovarianceStamped")
 _IMU_NAMES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
-_IMU_LINE = "time=stamp[s], gyro=gyro_*[rad/s], accel=accel_*[m/s^2]"
-_FIX_LINE = "time=stamp[s], lat=lat[deg], lon=lon[deg], height=height[m]"
+_IMU_LINE = "time=stamp[ns], gyro=gyro_*[rad/s], accel=accel_*[m/s^2]"
+_FIX_LINE = "time=stamp[ns], lat=lat[deg], lon=lon[deg], height=height[m]"
 
 
 def _sniff(probe: Probe) -> bool:
@@ -39,7 +40,10 @@ def _read(path: Path, settings: Mapping[str, str]) -> list[Table]:
     from rosbags.typesys import Stores, get_typestore
 
     root = path.parent if path.suffix == ".db3" and (path.parent / "metadata.yaml").exists() else path
-    with AnyReader([root], default_typestore=get_typestore(Stores.LATEST)) as bag:
+    reader = AnyReader([root], default_typestore=get_typestore(Stores.LATEST))
+    if not reader.is2:
+        reader.readers = [indexless(root)]
+    with reader as bag:
         topics = {name: info.msgtype or "" for name, info in bag.topics.items() if info.msgcount}
         imu = _choose(topics, (_IMU,), settings.get("topic", ""), "topic", path)
         fix = _choose(topics, (_FIX,), settings.get("gnss_topic", ""), "gnss_topic", path)
@@ -76,7 +80,7 @@ def _choose(topics: Mapping[str, str], types: tuple[str, ...], wanted: str, key:
     return found[0] if found else ""
 
 
-def _named(t: NDArray[np.float64], names: tuple[str, ...], block: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+def _named(t: NDArray[np.int64], names: tuple[str, ...], block: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
     return {"stamp": t, **{n: block[:, k] for k, n in enumerate(names)}}
 
 
@@ -98,31 +102,50 @@ def _imu_layout(raw: bytes, ros2: bool) -> tuple[int, int, list[int]] | None:
     return None if offsets[-1] + 8 > len(raw) or (ros2 and raw[1] != 1) else (stamp, stamp + 4, offsets)
 
 
-def _block(bag: Any, topic: str, row: Any, layout: Any = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Stamps (s) and numbers of all messages of a topic."""
-    chosen = [c for c in bag.connections if c.topic == topic]
-    pieces = [(c.msgtype, bytes(raw)) for c, _, raw in bag.messages(connections=chosen)]
-    if not pieces:
+def _block(bag: Any, topic: str, row: Any, layout: Any = None) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Stamps (ns) and numbers of all messages of a topic, in the order in which they were logged."""
+    kind = next(c.msgtype for c in bag.connections if c.topic == topic)
+    logged, stamps, blocks = [], [], []
+    for times, raws in pieces(bag, topic):
+        t, block = _viewed(bag, kind, raws, row, layout) or _spelt(bag, kind, raws, row)
+        logged.append(np.array(times, dtype=np.int64))
+        stamps.append(t)
+        blocks.append(block)
+    if not stamps:
         raise InputError("holds no message", where=topic)
-    kind, first = pieces[0]
-    same = layout is not None and all(len(raw) == len(first) and raw[12:16] == first[12:16] for _, raw in pieces)
-    found = layout(first, bag.is2) if same else None
-    if found is not None:
-        at_s, at_ns, offsets = found
-        dtype = np.dtype(
-            {"names": ["s", "ns", *map(str, offsets)], "formats": ["<u4", "<u4"] + ["<f8"] * len(offsets),
-             "offsets": [at_s, at_ns, *offsets], "itemsize": len(first)}
-        )  # fmt: skip
-        view = np.frombuffer(b"".join(raw for _, raw in pieces), dtype=dtype)
-        check = row(bag.deserialize(first, kind))
-        if np.array_equal([view[str(o)][0] for o in offsets], check, equal_nan=True):
-            return view["s"] + 1e-9 * view["ns"], np.column_stack([view[str(o)] for o in offsets])
-    t, rows = [], []
-    for msgtype, raw in pieces:
-        message = bag.deserialize(raw, msgtype)
-        t.append(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
-        rows.append(row(message))
-    return np.array(t), np.array(rows, dtype=np.float64)
+    log, t, block = np.concatenate(logged), np.concatenate(stamps), np.concatenate(blocks)
+    if (np.diff(log) >= 0).all():
+        return t, block
+    order = np.argsort(log, kind="stable")
+    return t[order], block[order]
+
+
+def _viewed(
+    bag: Any, kind: str, raws: list[bytes], row: Any, layout: Any
+) -> tuple[NDArray[np.int64], NDArray[np.float64]] | None:
+    """Stamps and numbers of messages of one length by their places; None where the lengths differ or the first says otherwise."""
+    first = raws[0]
+    found = layout(first, bag.is2) if layout is not None and {*map(len, raws)} == {len(first)} else None
+    if found is None:
+        return None
+    at_s, at_ns, offsets = found
+    dtype = np.dtype(
+        {"names": ["s", "ns", "name", *map(str, offsets)], "formats": ["<u4", "<u4", "<u4"] + ["<f8"] * len(offsets),
+         "offsets": [at_s, at_ns, 12, *offsets], "itemsize": len(first)}
+    )  # fmt: skip
+    view = np.frombuffer(b"".join(raws), dtype=dtype)
+    check = row(bag.deserialize(first, kind))
+    if (view["name"] != view["name"][0]).any() or not np.array_equal([view[str(o)][0] for o in offsets], check, True):
+        return None
+    t = view["s"].astype(np.int64) * 1_000_000_000 + view["ns"]
+    return t, np.column_stack([view[str(o)] for o in offsets])
+
+
+def _spelt(bag: Any, kind: str, raws: list[bytes], row: Any) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Stamps and numbers message by message."""
+    messages = [bag.deserialize(raw, kind) for raw in raws]
+    stamps = [m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec for m in messages]
+    return np.array(stamps, dtype=np.int64), np.array([row(m) for m in messages], dtype=np.float64)
 
 
 def _fix_row(m: Any) -> list[float]:
@@ -146,9 +169,9 @@ def _fixes(bag: Any, topic: str, topics: Mapping[str, str]) -> Table:
         order = np.argsort(tv, kind="stable")
         tv, v = tv[order], v[order]
         near = np.searchsorted(
-            0.5 * (tv[1:] + tv[:-1]), t
+            tv[:-1] + np.diff(tv) // 2, t
         )  # bounds halfway between stamps: the nearest, before a fix or behind it
-        matched = np.abs(tv[near] - t) < 0.02
+        matched = np.abs(tv[near] - t) < 20_000_000
         columns |= {n: np.where(matched, v[near, k], np.nan) for k, n in enumerate(("ve", "vn", "vu"))}
         line += ", vel_enu=ve vn vu[m/s]"
     return Table(topic, columns, {}, parse_map(line), "unix")

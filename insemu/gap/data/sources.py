@@ -66,17 +66,8 @@ def load_measured(path: str | Path, *, rate_hz: float | None = None) -> StaticLo
 
 
 def from_its_start(data: StaticLog | Recording) -> StaticLog | Recording:
-    """A recording under a clock that began long before it (GPS seconds, an epoch), with times from its first sample; any other as it is."""
-    if not isinstance(data, Recording) or not data.imu.t[0] > data.imu.t[-1] - data.imu.t[0]:
-        return data
-    first = float(data.imu.t[0])
-    gnss, reference = data.gnss, data.reference
-    return replace(
-        data,
-        imu=replace(data.imu, t=data.imu.t - first),
-        gnss=None if gnss is None else replace(gnss, t=gnss.t - first),
-        reference=None if reference is None else replace(reference, t=reference.t - first),
-    )
+    """A recording under a clock that began long before it (GPS seconds, an epoch) with times from its start; any other data as they are."""
+    return data.from_start() if isinstance(data, Recording) else data
 
 
 def at_rest(recording: Recording) -> bool:
