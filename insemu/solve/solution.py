@@ -51,8 +51,9 @@ BEST = 2
 FORWARD_SPEED, FORWARD_SPREAD = 4.0, np.deg2rad(8.0)
 #: Normalised squares per degree of freedom, of the innovations and of the errors after outages, of a design that knows its error well enough.
 KNOWS = (0.3, 3.0)
-#: A sensor that errs by so many times its own scatter from sample to sample is the suspect, whatever the verdict.
-SUSPECT = 10.0
+#: A sensor that errs by so many times its own scatter from sample to sample is the suspect, whatever the verdict: up to 12 times on real drives
+#: (samples that a filter in the sensor smoothed), without limit on an axis that is dead or holds something slow.
+SUSPECT = 30.0
 
 
 @dataclass(frozen=True)
