@@ -6,12 +6,16 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
+import hypothesis
 import pytest
 
 from insemu.blas import one_thread_by_default
 
 # before anything loads a BLAS: two processes with two threads each on two cores wait for each other, by spinning
 one_thread_by_default()
+# how long an example takes says how busy the machine is
+hypothesis.settings.register_profile("here", deadline=None)
+hypothesis.settings.load_profile("here")
 
 #: All tests that were collected, also those that a choice of marks leaves out; why slow tests were left out, counted.
 COLLECTED: pytest.StashKey[list[pytest.Item]] = pytest.StashKey()

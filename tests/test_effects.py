@@ -582,7 +582,7 @@ ODD = st.recursive(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.data())
 def test_no_mapping_reaches_the_parser_unchecked(data):
     effect = EFFECTS[data.draw(st.sampled_from(sorted(EFFECTS)))]

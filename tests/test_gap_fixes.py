@@ -311,6 +311,7 @@ def test_the_fixes_behind_which_residuals_surprise() -> None:
     assert surprising(e[:3]).size == 1
 
 
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_a_step_whose_fixes_were_told_outliers_is_named() -> None:
     """38 fixes 7 standard deviations off, one after the other, were a share of 0.1 (the most that are told) of outliers."""
     step = sensors.Hidden("gnss_multipath_step", "gnss", "east", {"value": -6.58, "start": 127.9, "duration": 37.66})
@@ -470,7 +471,9 @@ def test_a_loose_fix_says_nothing_of_those_behind_it_and_keeps_its_own_covarianc
     np.testing.assert_allclose(S[6:], its[6:], rtol=1e-4, atol=1e-8)
 
 
-@pytest.mark.parametrize("size", [1e4, 1e6])
+@pytest.mark.parametrize(
+    "size", [1e4, pytest.param(1e6, marks=pytest.mark.slow(reason="another case of a quick test"))]
+)
 def test_outliers_of_a_receiver_that_is_lost_are_no_more_than_that(size: float) -> None:
     """Fixes somewhere else on Earth: their squares, and those by which a filter hardly follows them, left no digits for the others."""
     made, hit = with_outliers(recording(), 0.03, size)
@@ -751,6 +754,7 @@ def test_axes_of_the_fixes_have_levels_of_their_own() -> None:
     assert report.verdict == "named"
 
 
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_outliers_are_told_where_a_colour_stood_for_them() -> None:
     """Both together are best explained by a colour, beside which outliers were not asked for: a quarter of the fixes in the tails, unexplained."""
     colour = use(effect="gnss_correlated_noise", sigma=[0.2, 0.2, 0.4], tau=10.0)

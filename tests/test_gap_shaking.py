@@ -116,6 +116,7 @@ def test_a_shaken_vehicle_with_its_antenna_on_an_arm_lacks_nothing() -> None:
     assert {b.axis for b in report.band} == {f"{s}_{a}" for s in ("gyro", "accel") for a in "xyz"}
 
 
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_a_shaken_vehicle_that_loses_samples_lacks_nothing_else() -> None:
     # each lost sample is an unknown turn of up to a tenth of a degree: a Gauss-Markov process of 327 nats and four effects more
     measured, nominal = taken(sensors.draw_world(470000, 360.0, True), ())
@@ -347,7 +348,10 @@ def test_between_two_samples_the_motion_goes_as_those_on_both_sides_say(stray: f
 AT_50_HZ = sensors.Logger(imu_hz=50)
 
 
-@pytest.mark.parametrize(("seed", "leaves"), [(530027, False), (530038, True)])
+@pytest.mark.parametrize(
+    ("seed", "leaves"),
+    [pytest.param(530027, False, marks=pytest.mark.slow(reason="another case of a quick test")), (530038, True)],
+)
 def test_a_quadrotor_at_50_hz_lacks_nothing(seed: int, leaves: bool) -> None:
     """Named of it were a lever arm of 43 nats, as velocities between two samples were taken for straight, and bias instability of 23."""
     world = sensors.draw_world(seed, 360.0, True, logger=AT_50_HZ)

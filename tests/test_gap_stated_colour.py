@@ -128,7 +128,14 @@ def received(white: float, seed: int) -> Recording:
     return stating(made, errors + white * sigma * rng.standard_normal(sigma.shape), sigma)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(
+    "seed",
+    [
+        1,
+        pytest.param(2, marks=pytest.mark.slow(reason="another case of a quick test")),
+        pytest.param(3, marks=pytest.mark.slow(reason="another case of a quick test")),
+    ],
+)
 def test_a_level_that_was_named_before_a_colour_is_asked_again_beside_it(seed: int) -> None:
     """It kept within its tolerance of what it was without the colour, for the horizontal axes and the height apart, with an interval as narrow."""
     report = looked(received(0.1, seed))

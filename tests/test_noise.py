@@ -320,7 +320,7 @@ def _processes() -> st.SearchStrategy:
     )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(_processes(), max_size=4), st.sampled_from(["rad/s", "m/s^2", ""]))
 def test_write_then_read_is_the_identity(tmp_path_factory: pytest.TempPathFactory, processes: list, unit: str) -> None:
     model = NoiseModel(tuple(processes))

@@ -57,7 +57,7 @@ TERM = st.builds(
     st.sampled_from(["", ")", " ", "\n", "+", "("]),
 )
 MODELS = st.one_of(st.text(max_size=30), st.lists(TERM, max_size=4).map(" + ".join))
-FEW = settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+FEW = settings(max_examples=150, suppress_health_check=list(HealthCheck))
 
 
 def read_or_refused(content: Any) -> None:

@@ -215,6 +215,7 @@ def test_the_program_that_compiles_runs(capsys: pytest.CaptureFixture[str]) -> N
     assert capsys.readouterr().out == "filter\n"
 
 
+@pytest.mark.skipif("NUMBA_CACHE_DIR" in os.environ, reason="kernels are kept in another folder")
 def test_kernels_are_compiled_by_another_process_where_they_are_not_there() -> None:
     from insemu import compiled
 

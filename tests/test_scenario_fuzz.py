@@ -25,7 +25,6 @@ EXAMPLES = int(os.environ.get("INSEMU_FUZZ", "20"))
 
 @settings(
     max_examples=EXAMPLES * len(FILES),
-    deadline=None,
     suppress_health_check=list(HealthCheck),
     derandomize=EXAMPLES < 1000,
 )
