@@ -66,7 +66,7 @@ wheel: $(FLOWN)
 links: $(STAMP)
 	$(BIN)/python -m sphinx -q -b linkcheck docs site/links
 
-# Installs, and flies two realizations of the demo, which compiles the kernels that it uses, once for this processor.
+# Installs, and flies two realizations of the demo, which compiles the kernels that it uses, once.
 setup: $(FLOWN)
 
 $(STAMP): pyproject.toml constraints.txt

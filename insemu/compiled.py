@@ -83,7 +83,9 @@ def sources_stamp() -> str:
 
 @cache
 def _hash_of(file: str) -> str:
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest()
+    with suppress(OSError):
+        return hashlib.sha256(Path(file).read_bytes()).hexdigest()
+    return ""  # typed into an interpreter: numba looks at the bytecode besides
 
 
 @cache

@@ -13,6 +13,7 @@ import pytest
 from numba.core.registry import cpu_target
 
 from insemu import compiled, progress
+from insemu.cli import main
 
 
 def _twice(x: float) -> float:
@@ -123,3 +124,16 @@ def test_compiling_is_said_once(folders: tuple[Path, Path], monkeypatch: pytest.
     hits()
     (line,) = said
     assert line.startswith(f"Compiling kernels for {compiled.baseline()}")
+
+
+def test_the_command_line_prints_what_is_said(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "_said", set())
+    with pytest.raises(SystemExit):
+        main(["--version"])
+    progress.say_once("Something takes long")
+    progress.say_once("Something takes long")
+    out = capsys.readouterr()
+    assert f"kernels: {compiled.described()}" in out.out
+    assert out.err == "Something takes long.\n"

@@ -215,13 +215,13 @@ def test_the_program_that_compiles_runs(capsys: pytest.CaptureFixture[str]) -> N
     assert capsys.readouterr().out == "filter\n"
 
 
-@pytest.mark.skipif("NUMBA_CACHE_DIR" in os.environ, reason="kernels are kept in another folder")
-def test_kernels_are_compiled_by_another_process_where_they_are_not_there() -> None:
+def test_kernels_are_compiled_by_another_process_where_they_are_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
     from insemu import compiled
 
-    with compiled_beside("this", "insemu.filters.kernel.no_such_function"):
-        assert compiled._beside is not None
-        wait_for_kernels()
-    assert compiled._beside is None
-    with compiled_beside("this", "insemu.filters.kernel.run"):  # the runs above have compiled it
+    with monkeypatch.context() as patched, compiled_beside("this", "insemu.filters.kernel.run"):
+        assert compiled._beside is None  # the runs above have compiled it
+        patched.setattr(compiled, "kept", lambda kernel: False)
+        with compiled_beside("this", "insemu.filters.kernel.run"):
+            assert compiled._beside is not None
+            wait_for_kernels()
         assert compiled._beside is None

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
@@ -67,11 +66,11 @@ class StateBlock:
         n = sum(b.n for b in blocks)
 
         def diagonal(name: str) -> Array:
-            return (
-                np.asarray(scipy.linalg.block_diag(*(getattr(b, name) for b in blocks if b.n))).reshape(n, n)
-                if n
-                else np.zeros((0, 0))
-            )
+            whole, k = np.zeros((n, n)), 0
+            for b in blocks:
+                whole[k : k + b.n, k : k + b.n] = getattr(b, name)
+                k += b.n
+            return whole
 
         return cls(
             names=tuple(name for b in blocks for name in b.names),
