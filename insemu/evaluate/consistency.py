@@ -140,7 +140,9 @@ def nees_per_dof(errors: Array, covariance: Array, *, full: bool = False) -> Arr
         if not pattern.any():
             continue
         whole = rows.all() and pattern.all()  # nothing is left out, and nothing copied
-        e, P = (errors, covariance) if whole else (errors[rows][:, pattern], covariance[rows][:, pattern][:, :, pattern])
+        e, P = (
+            (errors, covariance) if whole else (errors[rows][:, pattern], covariance[rows][:, pattern][:, :, pattern])
+        )
         sd = np.sqrt(np.einsum("nii->ni", P))
         if np.linalg.eigvalsh(P[-1] / np.outer(sd[-1], sd[-1]))[0] > SINGULAR:
             out[rows] = nees(e, P) / pattern.sum()
