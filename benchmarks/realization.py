@@ -108,12 +108,17 @@ def main() -> None:
     watch.seconds["pictures"] += children()
     whole = time.process_time() + children()
     each = {part: watch.seconds[part] / given.realizations for part in EACH}
-    print(f"one more realization: {sum(each.values()):.3f} CPU s: " + ", ".join(f"{k} {v:.3f}" for k, v in each.items()))
+    print(
+        f"one more realization: {sum(each.values()):.3f} CPU s: " + ", ".join(f"{k} {v:.3f}" for k, v in each.items())
+    )
     flown = sum(watch.seconds[part] for part in EACH)
     once = {part: watch.seconds[part] for part in ONCE}
     rest = whole - imports - flown - sum(once.values())
     parts = {"realizations": flown, "imports": imports, **once, "rest": rest}
-    print(f"{given.realizations} realizations of Table III: {whole:.1f} CPU s: " + ", ".join(f"{k} {v:.2f}" for k, v in parts.items()))
+    print(
+        f"{given.realizations} realizations of Table III: {whole:.1f} CPU s: "
+        + ", ".join(f"{k} {v:.2f}" for k, v in parts.items())
+    )
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from insemu.filters import user_filter, user_filter_code
 from insemu.filters.protocol import REGISTERED
 from insemu.formats import write
 from insemu.noise import PROCESSES, Parameter, StateBlock
+from insemu.report.charts import Chart, Line, View
 from insemu.report.gap_charts import evidence_chart
 from insemu.report.static import draw
 
@@ -167,4 +168,24 @@ def test_names_below_the_bars_of_evidence_stand_in_the_static_picture() -> None:
     rivals += [("Gauss-Markov process (bias instability)", 40.0, False)]
     slanted = draw(evidence_chart([("time offset", rivals)])).axes[0].get_xticklabels()[-1]
     assert slanted.get_text() == "Gauss-Markov process (bias instability)" and slanted.get_rotation() > 0
+    plt.close("all")
+
+
+def test_decades_are_plain_text_and_titles_keep_clear_of_the_factor_of_the_labels() -> None:
+    x = np.arange(3.0)
+    views = [
+        View("decades", "m", [Line("a", [0.02, 5.0, 700.0], "#000000")], log_y=True),
+        View("tiny", "m", [Line("a", [1e-9, 2e-9, 3e-9], "#000000")]),
+        View("a name that takes two rows of a title above its panel", "m", [Line("a", x, "#000000")]),
+    ]
+    figure = draw(Chart("three", "", x, "s", views))
+    figure.draw_without_rendering()
+    decades, tiny, long = figure.axes
+    low, high = decades.get_ylim()
+    shown = [t.get_text() for t in decades.get_yticklabels() if low <= t.get_position()[1] <= high]
+    assert shown == ["10⁻¹", "10⁰", "10¹", "10²", "10³"]
+    assert tiny.yaxis.get_offset_text().get_text() == "1e\N{MINUS SIGN}9"
+    for axes, below in ((tiny, tiny.yaxis.get_offset_text()), (long, long)):
+        (title,) = (t for t in axes.get_children() if getattr(t, "get_text", str)() == axes.get_title(loc="left"))
+        assert title.get_window_extent().y0 >= below.get_window_extent().y1
     plt.close("all")

@@ -52,6 +52,20 @@ def test_a_right_covariance_is_credible(draws):
         c.credibility(draws[0][:10], draws[1][:10])
 
 
+def test_states_without_uncertainty_are_left_out_epoch_by_epoch(draws):
+    e, P = draws[0][:, 0].copy(), draws[1][:, 0].copy()
+    gone = np.zeros((len(e), 9), dtype=bool)
+    gone[1::3, 2] = gone[2::3, 4:7] = gone[5] = True
+    P[gone] = 0.0
+    P.transpose(0, 2, 1)[gone] = 0.0
+    e[7, 0] = np.nan
+    found = c.nees_per_dof(e, P)
+    for k, row in enumerate(gone):
+        left = np.ix_(~row, ~row)
+        told = np.nan if row.all() else e[k, ~row] @ np.linalg.inv(P[k][left]) @ e[k, ~row] / np.sum(~row)
+        assert found[k] == pytest.approx(told, rel=1e-9, nan_ok=True)
+
+
 @statistical(2e-5, 1, power=binomial_power(400, 0.01, 2e-5, 1, 0.05))  # bounds at 95 % instead of 99 %
 def test_bounds_hold_their_confidence():
     """Of 400 families of a consistent filter 1 % at most fail."""

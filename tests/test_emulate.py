@@ -291,6 +291,18 @@ def test_interpolation_at_the_last_node(ideal):
     np.testing.assert_allclose(rotation.rpy_from_quaternion(q)[0], ideal.reference.rpy[-1], atol=1e-12)
 
 
+def test_rates_between_scattered_nodes_are_those_of_a_turn_that_grows():
+    """A heading of a t^2 / 2 turns at a t, which means of intervals and straight lines between nodes give without error."""
+    t = np.arange(0.0, 60.0, 0.05)
+    level = np.stack([0 * t, 0 * t, 0.001 * t**2 / 2], axis=1)
+    turning = Trajectory(t, np.tile([0.8, 0.1, 0.0], (t.size, 1)), np.zeros((t.size, 3)), level)
+    at = np.array([40.0, 0.0525, 7.0, 7.31, 59.88, 12.04])
+    _, _, q, w = state_at(turning, at)
+    np.testing.assert_allclose(w, np.stack([0 * at, 0 * at, 0.001 * at], axis=1), atol=1e-12)
+    heading = rotation.rpy_from_quaternion(q)[:, 2]
+    np.testing.assert_allclose(heading, 0.001 * at**2 / 2, atol=0.001 * 0.05**2 / 8 + 1e-12)
+
+
 def test_outages_leave_the_other_fixes_alone(ideal):
     def fixes(*outages):
         return emulate.gnss_fixes(ideal.reference, 1.0, 0.02, 0.01, outages=outages, rng=np.random.default_rng(5))

@@ -118,10 +118,10 @@ def draw_view(axes: Axes, chart: Chart, view: View) -> None:
     if chart.equal:
         axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel=chart.x_label, ylabel=view.y_label)
-    axes.get_yticklabels()  # which makes their common factor
+    axes.get_yticklabels()  # which finds their common factor
     title = textwrap.fill(view.name, SHORT_ROW if slanted else ROW, break_on_hyphens=False)
     # to look for a free place above the axes takes a quarter of a drawing, and only the factor of the labels stands there
-    axes.set_title(title, y=None if axes.yaxis.get_offset_text().get_text() else 1.0, va="bottom")
+    axes.set_title(title, y=None if axes.yaxis.get_major_formatter().get_offset() else 1.0, va="bottom")
 
 
 def _few_ticks(axes: Axes) -> None:
