@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.formats.columns import ColumnMap, guess_map, split_header
-from insemu.formats.decoding import decoding, encoding_of, head_of, open_text
+from insemu.formats.decoding import decoding, encoding_of, head_of, open_for_pandas, open_text
 from insemu.formats.text import joined, pieces
 from insemu.records import AidRecord
 from insemu.units import parse_unit
@@ -192,7 +192,7 @@ def read_delimited(
         header, delimiter, skip, decimal = _layout(path, comments)
         parts: list[list[NDArray[Any] | None]] = []
         rows: list[int] = []
-        with open_text(path) as file:
+        with open_for_pandas(path) as file:
             for frame in pieces(
                 file,
                 sep=delimiter or r"\s+",

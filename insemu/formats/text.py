@@ -6,13 +6,13 @@ import gzip
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError
-from insemu.formats.decoding import decoding, open_text
+from insemu.formats.decoding import decoding, open_for_pandas, open_text
 from insemu.whole import put
 
 Array = NDArray[np.float64]
@@ -41,15 +41,15 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def pieces(file: IO[str], **options: Any) -> Iterator[Any]:
+def pieces(file: Any, **options: Any) -> Iterator[Any]:
     """Yield delimited text as pandas frames of at most :data:`PIECE` rows, so that only the columns are ever held as a whole.
 
     Numbers are the nearest floats; columns of whole numbers stay integers.
 
     Parameters
     ----------
-    file : text file
-        At the first row; there is no header.
+    file : file
+        Of :func:`insemu.formats.decoding.open_for_pandas`, at the first row; there is no header.
     **options
         For ``pandas.read_csv``: ``sep``, ``names``, ``comment``, ``decimal``, ...
     """
@@ -106,7 +106,7 @@ def read_table(path: Path) -> tuple[list[str] | None, list[NDArray[Any]]]:
 def _fast(path: Path, delimiter: str | None, first: int, width: int) -> list[NDArray[Any]] | None:
     """Columns of well-formed numbers; None where anything else is in them, or a line is short."""
     parts: list[list[NDArray[Any]]] = [[] for _ in range(width)]
-    with open_text(path) as file:
+    with open_for_pandas(path) as file:
         for _ in range(first):
             file.readline()
         missing = [v for m in _MISSING for v in {m, m.upper(), m.capitalize(), m.replace("nan", "NaN")}]
