@@ -75,13 +75,13 @@ def counted(stamps: NDArray[Any], unit_s: float = 1.0) -> tuple[int, Array]:
     if stamps.dtype.kind == "M":
         found, unit_s = stamps.astype("datetime64[ns]"), 1e-9
         missing = np.isnat(found)
-        whole = found.view(np.int64)
+        nanoseconds = found.view(np.int64)
         if not missing.any():
-            return counted(whole, unit_s)
+            return counted(nanoseconds, unit_s)
         out = np.full(stamps.size, np.nan)
         if missing.all():
             return 0, out
-        first, out[~missing] = counted(whole[~missing], unit_s)
+        first, out[~missing] = counted(nanoseconds[~missing], unit_s)
         return first, out
     if stamps.dtype.kind in "iu":
         stamps = stamps.astype(np.int64) if stamps.size and int(stamps.max()) < 2**62 else stamps
@@ -179,8 +179,10 @@ def samples(t: Array, interval: float) -> Array:
     """
     spans = np.diff(t) / interval
     count = np.maximum(np.rint(spans), 1.0)
-    for k in np.flatnonzero(np.abs(spans - 1.5) < _UNSURE):
+    for k in np.flatnonzero(np.abs(spans - 1.5) < _UNSURE).tolist():
         first, last = max(k - _AROUND, 0), min(k + _AROUND + 1, t.size - 1)
-        more = np.rint((t[last] - t[first]) / interval) - count[first:last].sum()
+        place = (t[first : last + 1] - t[first]) / interval
+        place[1:] -= np.cumsum(count[first:last])
+        more = np.rint(place[k + 1 - first :].mean() - place[: k + 1 - first].mean())
         count[k] = np.clip(count[k] + more, 1.0, 2.0)
     return count

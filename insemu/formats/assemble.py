@@ -435,8 +435,6 @@ def positions(part: Columns, story: Story) -> Array | None:
     local = v["ned"] if "ned" in v else v["enu"][:, [1, 0, 2]] * [1.0, 1.0, -1.0] if "enu" in v else None
     if local is None:
         return None
-    from insemu import earth
-
     if "origin" in part.settings:
         given = numbers_of(part.settings["origin"], 3, f"{part.table.name}: origin")
     else:
@@ -575,8 +573,6 @@ def reference_of(part: Columns, story: Story) -> Trajectory:
         raise InputError(f"has {rows.size} usable row(s) of truth, expected at least 2", where=part.table.name)
     t, llh = part.t[rows], llh[rows]
     if velocity is None:
-        from insemu import earth
-
         offset = earth.position_difference(llh, np.tile(llh[0], (t.size, 1)))
         velocity = np.gradient(offset, t, axis=0)
         story.notes.append("velocities of the truth are differences of its positions")

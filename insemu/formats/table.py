@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from insemu.formats.columns import ColumnMap, guess_map, split_header
 from insemu.formats.decoding import decoding, encoding_of, head_of, open_for_pandas, open_text
-from insemu.formats.text import joined, pieces
+from insemu.formats.text import Growing, pieces
 from insemu.records import AidRecord
 from insemu.units import parse_unit
 
@@ -197,6 +197,7 @@ def read_delimited(
                 file,
                 sep=delimiter or r"\s+",
                 skiprows=skip,
+                skipinitialspace=True,
                 decimal=decimal,
                 index_col=False,
                 **({"chunksize": None} if text else {}),  # what is text is seen of the whole
@@ -235,9 +236,11 @@ def _joined(part: list[NDArray[Any] | None], rows: Sequence[int]) -> NDArray[Any
         return None
     kind = np.result_type(*(p for p in part if p is not None))
     empty = np.datetime64("NaT") if kind.kind == "M" else np.nan
-    (column,) = joined([[np.full(n, empty) if p is None else p for p, n in zip(part, rows, strict=True)]])
-    part.clear()
-    return column
+    column = Growing(1)
+    for k, n in enumerate(rows):
+        piece, part[k] = part[k], None
+        column.add([np.full(n, empty) if piece is None else piece.astype(kind, copy=False)])
+    return column.whole()[0]
 
 
 def _numbered(width: int) -> list[str]:
