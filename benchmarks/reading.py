@@ -84,8 +84,9 @@ def write_bag(path: Path, kind: str, hours: float, rate_hz: float = 200.0) -> No
 
 def read(what: str, path: str) -> str:
     """Read one file in this process; its CPU seconds, its memory and what was read."""
+    import pandas as pd
+
     if what == "pandas":
-        import pandas as pd
 
         def job() -> str:
             return f"{len(pd.read_csv(path))} rows"

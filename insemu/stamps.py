@@ -21,8 +21,10 @@ SECOND = 1_000_000_000
 _MOST = 2.0**51
 #: Stamps that are looked at before all of them are.
 _FEW = 1000
-#: Stamps at once.
-_BLOCK = 1 << 20
+#: Steps that differ by less than this share are even: their median is the sampling interval.
+_EVEN = 1e-6
+#: A step of one and a half intervals, give or take this share, is that of a late stamp or of a lost sample: so many steps on either side tell.
+_UNSURE, _AROUND = 0.3, 8
 
 
 @dataclass(frozen=True)
@@ -73,15 +75,16 @@ def counted(stamps: NDArray[Any], unit_s: float = 1.0) -> tuple[int, Array]:
     if stamps.dtype.kind == "M":
         found, unit_s = stamps.astype("datetime64[ns]"), 1e-9
         missing = np.isnat(found)
-        whole = found.view(np.int64)
+        nanoseconds = found.view(np.int64)
         if not missing.any():
-            return counted(whole, unit_s)
+            return counted(nanoseconds, unit_s)
         out = np.full(stamps.size, np.nan)
         if missing.all():
             return 0, out
-        first, out[~missing] = counted(whole[~missing], unit_s)
+        first, out[~missing] = counted(nanoseconds[~missing], unit_s)
         return first, out
     if stamps.dtype.kind in "iu":
+        stamps = stamps.astype(np.int64) if stamps.size and int(stamps.max()) < 2**62 else stamps
         return _whole(stamps, Fraction(str(unit_s)) * SECOND)
     x = np.asarray(stamps, dtype=np.float64)
     good = np.isfinite(x)
@@ -94,9 +97,9 @@ def counted(stamps: NDArray[Any], unit_s: float = 1.0) -> tuple[int, Array]:
     if not x.size:
         return 0, x
     unit = Fraction(str(unit_s)) * SECOND
-    digits = _decimals(x, unit)
-    if digits is not None:
-        whole = np.concatenate([np.rint(part * 10.0**digits).astype(np.int64) for part in _blocks(x)])
+    decimals = _decimals(x, unit)
+    if decimals is not None:
+        whole, digits = decimals
         return _whole(whole, unit / 10**digits)
     start = _second(Fraction(float(x[0])) * unit)
     if unit_s == 1.0:
@@ -110,7 +113,7 @@ def _second(ns: Fraction) -> int:
 
 
 def _whole(stamps: NDArray[Any], unit: Fraction) -> tuple[int, Array]:
-    """Whole numbers of a unit, in ns, from the second of the first."""
+    """Whole numbers of a unit, in ns, from the second of the first; floats have none that are not exact."""
     if not stamps.size:
         return 0, np.zeros(0)
     first = int(stamps[0])
@@ -118,28 +121,68 @@ def _whole(stamps: NDArray[Any], unit: Fraction) -> tuple[int, Array]:
     per = SECOND / unit  # units in a second
     whole = per.denominator == 1
     since = start * per / SECOND if whole else Fraction(first)  # the second in units
-    fits = -(2**62) < int(stamps.min()) and int(stamps.max()) < 2**62
-    steps = stamps.astype(np.int64) - int(since) if fits else stamps.astype(np.float64) - float(since)
+    exact = stamps.dtype.kind == "i" and whole and -(2**62) < int(stamps.min()) and int(stamps.max()) < 2**62
+    steps = stamps - int(since) if exact else np.asarray(stamps, dtype=np.float64) - float(since)
     if whole:
         return start, np.asarray(steps / float(per), dtype=np.float64)
     return start, np.asarray(steps * float(unit / SECOND) + float((first * unit - start) / SECOND), dtype=np.float64)
 
 
-def _decimals(x: Array, unit: Fraction) -> int | None:
-    """How many decimals the stamps have, none beyond ns; None where they are no decimals."""
+def _decimals(x: Array, unit: Fraction) -> tuple[Array, int] | None:
+    """Stamps as whole numbers of a decimal, and which, none beyond ns; None where they are no decimals."""
     largest = max(-float(x.min()), float(x.max()))
     for digits in range(10):
-        if largest * 10.0**digits >= _MOST or (unit / 10**digits).denominator != 1:
+        tens = 10.0**digits
+        if largest * tens >= _MOST or (unit / 10**digits).denominator != 1:
             return None
-        if _are(x[:_FEW], 10.0**digits) and all(_are(part, 10.0**digits) for part in _blocks(x)):
-            return digits
+        for part in (x[:_FEW], x):  # the floats nearest to whole numbers of a tenth, a hundredth, ...
+            whole = np.rint(part * tens)
+            if not np.array_equal(whole / tens, part):
+                break
+        else:
+            return whole, digits
     return None
 
 
-def _are(x: Array, tens: float) -> bool:
-    """Whether floats are the ones nearest to whole numbers of a tenth, a hundredth, ..."""
-    return bool((np.rint(x * tens) / tens == x).all())
+def beat(t: Array) -> float:
+    """Sampling interval of an IMU in s: the slope of its stamps over the samples that they count, NaN of fewer than two.
+
+    Stamps that are rounded (to ms, at 104 Hz) have no step that is the interval, and neither have stamps that jitter or samples that are lost.
+
+    Examples
+    --------
+    >>> round(1.0 / beat(np.round(np.arange(10_000) / 104.0, 3)), 3)
+    104.0
+    """
+    if t.size < 2:
+        return float("nan")
+    step = np.diff(t)
+    interval = float(np.median(step))
+    if step.size < 3 or interval <= 0.0 or float(np.abs(step - interval).max()) <= _EVEN * interval:
+        return interval
+    for _ in range(2):
+        at = np.concatenate([[0.0], np.cumsum(samples(t, interval))])
+        at -= at.mean()
+        interval = float(at @ (t - t.mean()) / (at @ at))
+    return interval
 
 
-def _blocks(x: Array) -> list[Array]:
-    return [x[k : k + _BLOCK] for k in range(0, x.size, _BLOCK)]
+def samples(t: Array, interval: float) -> Array:
+    """How many sampling intervals every step spans, (n-1,): a step is long because samples are lost if those around it do not make up for it.
+
+    Parameters
+    ----------
+    t : (n,) array
+        Stamps, s.
+    interval : float
+        Sampling interval, s.
+    """
+    spans = np.diff(t) / interval
+    count = np.maximum(np.rint(spans), 1.0)
+    for k in np.flatnonzero(np.abs(spans - 1.5) < _UNSURE).tolist():
+        first, last = max(k - _AROUND, 0), min(k + _AROUND + 1, t.size - 1)
+        place = (t[first : last + 1] - t[first]) / interval
+        place[1:] -= np.cumsum(count[first:last])
+        more = np.rint(place[k + 1 - first :].mean() - place[: k + 1 - first].mean())
+        count[k] = np.clip(count[k] + more, 1.0, 2.0)
+    return count

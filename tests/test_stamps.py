@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
 import json
+import lzma
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
@@ -15,11 +19,11 @@ from scipy.io import savemat
 
 from insemu import formats
 from insemu.errors import InputError
-from insemu.formats import open_files, read_log, read_recording
+from insemu.formats import decoding, open_files, read_log, read_recording
 from insemu.formats.clocks import start_said, utc_of
 from insemu.intake import examine
 from insemu.records import AidRecord, GnssRecord, ImuRecord, InitialState, Recording, Trajectory
-from insemu.stamps import OWN, Origin, counted
+from insemu.stamps import OWN, Origin, beat, counted, samples
 from tests.shared_data import shared
 
 #: GPS seconds of a week, s since 1970.
@@ -142,6 +146,56 @@ def test_steps_of_whole_nanoseconds_are_200_hz(zero: int, tmp_path: Path) -> Non
         log = read_log(tmp_path / name)
         assert log.t is not None and log.rate_hz == 200.0 and not log.gaps()
         np.testing.assert_allclose(log.t, np.arange(2000) / 200.0, rtol=1e-14)
+
+
+@pytest.mark.parametrize("rate", [64.0, 95.0, 100.0, 104.0, 119.0])
+def test_the_rate_of_stamps_in_ms_is_that_of_the_sensor(rate: float, tmp_path: Path) -> None:
+    t = np.round(np.arange(0.009, 600.0, 1.0 / rate), 3)
+    assert abs(beat(t) * rate - 1.0) < 1e-8 and (samples(t, beat(t)) == 1.0).all()
+    values = np.tile([0.01, 0.02, 0.03, 0.0, 0.0, -9.8], (t.size, 1))
+    names = ",".join(f"{n} [{'rad/s' if n[0] == 'g' else 'm/s^2'}]" for n in formats.AXIS_OF_COLUMN)
+    block = np.column_stack([t, values])
+    np.savetxt(tmp_path / "log.csv", block, fmt="%.3f", delimiter=",", header=f"t [s],{names}", comments="")
+    assert read_log(tmp_path / "log.csv").rate_hz == rate
+    (line,) = (x for x in examine(open_files(tmp_path / "log.csv")).lines if x.topic == "rate")
+    assert line.text.startswith(f"{t.size} samples at {rate:g} Hz")
+
+
+def test_losses_are_told_from_late_stamps() -> None:
+    """Jitter of a tenth of the interval loses nothing; what was taken out is counted, beside jitter too."""
+    rng = np.random.default_rng(5)
+    even = np.arange(60_000) * 0.01
+    keep = rng.random(even.size) > 0.01
+    keep[[0, -1]] = True
+    late = 1e-3 * rng.standard_normal(even.size)
+    for t, lost in ((even + late, 0), (even[keep], (~keep).sum()), ((even + late)[keep], (~keep).sum())):
+        assert abs(beat(t) / 0.01 - 1.0) < 3e-5
+        assert abs((samples(t, beat(t)) - 1.0).sum() - lost) <= 2
+    assert np.isnan(beat(np.array([1.0]))) and beat(np.array([1.0, 3.0])) == 2.0
+
+
+@pytest.mark.parametrize(("suffix", "packed"), [(".gz", gzip.compress), (".bz2", bz2.compress), (".xz", lzma.compress)])
+def test_text_that_unpacks_to_far_more_than_its_size_is_refused(
+    suffix: str, packed: Callable[[bytes], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(decoding, "UNPACKED", 1 << 20)
+    names = ",".join(f"{n} [{'rad/s' if n[0] == 'g' else 'm/s^2'}]" for n in formats.AXIS_OF_COLUMN)
+    head = f"t [s],{names}\n0,0,0,0,0,0,-9.8\n".encode()
+    for name, text in (("line", head + b"1" * (2 << 20)), ("rows", head + b"1,0,0,0,0,0,-9.8\n" * (1 << 17))):
+        path = tmp_path / f"{name}.csv{suffix}"
+        path.write_bytes(packed(text))
+        assert path.stat().st_size * decoding.RATIO < len(text)
+        for door in (open_files, read_log):
+            with pytest.raises(InputError, match=r"unpacks to more than 1 MiB, more than 100 times its \d+ bytes"):
+                door(path)
+    np.savez_compressed(tmp_path / "r.npz", imu_t=np.arange(3.0), imu=np.zeros((1 << 17, 6)))
+    with pytest.raises(InputError, match=r"r\.npz: unpacks to more than 1 MiB"):
+        formats.read(tmp_path / "r.npz")
+    usual = tmp_path / f"usual.csv{suffix}"
+    rows = np.column_stack([np.arange(40_000) / 100.0, np.random.default_rng(1).standard_normal((40_000, 6))])
+    lines = "\n".join(",".join(f"{v:.6f}" for v in row) for row in rows)
+    usual.write_bytes(packed(f"t [s],{names}\n{lines}\n".encode()))
+    assert len(read_log(usual)) == 40_000 and len(lines) > 2 << 20
 
 
 @pytest.mark.slow

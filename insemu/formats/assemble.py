@@ -106,16 +106,18 @@ def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
     values: dict[str, Array] = {}
     integrals = []
     for role in roles:
-        data, units, found = [], [], []
-        for k, pick in resolve(role, used.picks[role], names, where):
+        units, found = [], []
+        picked = resolve(role, used.picks[role], names, where)
+        block = np.empty((len(table), len(picked)))
+        for column, (k, pick) in zip(block.T, picked, strict=True):
             unit = pick.unit if pick.unit is not None else table.units.get(names[k], "")
             unit = used.settings.get(UNIT_SETTING.get(role, ""), unit)
             factor, integral = _factor(role, unit, f"{where}: {names[k]}")
             integrals.append((role, integral))
-            data.append(np.asarray(table.columns[names[k]], dtype=np.float64) * (factor * pick.sign))
+            np.multiply(table.columns[names[k]], factor * pick.sign, out=column)
             units.append(unit)
             found.append(("-" if pick.sign < 0 else "") + names[k])
-        values[role] = data[0] if len(data) == 1 else np.column_stack(data)
+        values[role] = block[:, 0] if len(picked) == 1 else block
         _say(role, found, units, story, table)
     kind = _kind(used.settings, integrals, where)
     rows = next(iter(values.values())).shape[0]
@@ -373,7 +375,9 @@ def imu_of(parts: Sequence[Columns], story: Story) -> ImuRecord:
             story.notes.append("the accelerometer has stamps of its own; it was interpolated to the gyroscope's")
     gyro_values = first.values["gyro"]
     temperature = first.values.get("temperature")
-    rows = np.flatnonzero(np.isfinite(gyro_values).all(axis=1) & np.isfinite(accel).all(axis=1))
+    rows = np.arange(first.t.size)
+    if not (np.isfinite(gyro_values).all() and np.isfinite(accel).all()):
+        rows = np.flatnonzero(np.isfinite(gyro_values).all(axis=1) & np.isfinite(accel).all(axis=1))
     story.missing += first.t.size - rows.size
     if first.t.size - rows.size:
         story.notes.append(f"IMU: {first.t.size - rows.size} of {first.t.size} rows hold no number; they were left out")
@@ -431,8 +435,6 @@ def positions(part: Columns, story: Story) -> Array | None:
     local = v["ned"] if "ned" in v else v["enu"][:, [1, 0, 2]] * [1.0, 1.0, -1.0] if "enu" in v else None
     if local is None:
         return None
-    from insemu import earth
-
     if "origin" in part.settings:
         given = numbers_of(part.settings["origin"], 3, f"{part.table.name}: origin")
     else:
@@ -571,8 +573,6 @@ def reference_of(part: Columns, story: Story) -> Trajectory:
         raise InputError(f"has {rows.size} usable row(s) of truth, expected at least 2", where=part.table.name)
     t, llh = part.t[rows], llh[rows]
     if velocity is None:
-        from insemu import earth
-
         offset = earth.position_difference(llh, np.tile(llh[0], (t.size, 1)))
         velocity = np.gradient(offset, t, axis=0)
         story.notes.append("velocities of the truth are differences of its positions")

@@ -141,6 +141,33 @@ def encoding_of(head: bytes) -> str | None:
     return "utf-8-sig"
 
 
+class _Undecoded:
+    """A file whose bytes pandas takes as they are: it reads what it knows to be binary through a decoder, and encodes that again."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self.read, self.readline, self._file = file.read, file.readline, file
+
+    def __iter__(self) -> Iterator[bytes]:
+        return iter(self._file)
+
+    def __enter__(self) -> _Undecoded:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+
+def open_for_pandas(path: Path) -> Any:
+    """Open text as ``pandas.read_csv`` reads it fastest; use it inside :func:`decoding`."""
+    head = head_of(path)
+    if encoding_of(head) != "utf-8-sig":
+        return open_text(path)
+    file = open_binary(path)
+    if head.startswith(b"\xef\xbb\xbf"):
+        file.read(3)
+    return _Undecoded(file)
+
+
 def open_text(path: Path) -> IO[str]:
     """Open text, compressed or not, in the encoding that it is in; use it inside :func:`decoding`.
 

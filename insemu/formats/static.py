@@ -21,6 +21,7 @@ from insemu.formats.columns import split_header, words_of
 from insemu.formats.npz import load_npy, load_npz, numbers, scalar, texts
 from insemu.formats.text import is_text, read_table, write_table
 from insemu.records import AXES, COLUMNS, ImuRecord, Series
+from insemu.stamps import beat, counted
 from insemu.units import parse_unit
 from insemu.whole import replacing
 
@@ -59,7 +60,9 @@ class Log:
     rate_hz : float
         Sampling rate.
     t : (n,) array, optional
-        Times in s, strictly increasing.
+        Times in s from ``start``, strictly increasing.
+    start : int
+        Time 0 on the clock of the file, ns.
     """
 
     source: str
@@ -69,11 +72,12 @@ class Log:
     columns: tuple[NDArray[Any], ...]
     rate_hz: float
     t: Array | None = None
+    start: int = 0
 
     @classmethod
     def of_imu(cls, imu: ImuRecord, source: str) -> Log:
         """The signals of an IMU as a log; increments become rates."""
-        step = float(np.median(np.diff(imu.t)))
+        step = beat(imu.t)
         values = imu.rates()
         units = ("rad/s",) * 3 + ("m/s^2",) * 3
         return cls(source, AXES, units, units, tuple(np.ascontiguousarray(values.T)), round_rate(1.0 / step), imu.t)
@@ -216,13 +220,14 @@ def read_log(path: str | Path, *, rate_hz: float | None = None, columns: Iterabl
         raise FileNotFoundError(2, "No such file or directory", str(path))
     if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
         raise InputError(f"rate is {rate_hz} Hz, expected a positive number", where=str(path))
-    names, units, data, t, rate = parts(path)
+    names, units, data, stamps, rate = parts(path)
+    start, t = stamps if stamps is not None else (0, None)
     if len(set(names)) != len(names):
         twice = sorted({n for n in names if names.count(n) > 1})
         raise InputError(f"column '{twice[0]}' appears more than once", where=str(path))
     if t is not None:
         _check_times(t, str(path))
-        step = float(np.median(np.diff(t))) if t.size > 1 else np.nan
+        step = beat(t)
         if rate is None and np.isfinite(step):
             rate = round_rate(1.0 / step)
         stated = rate_hz if rate_hz is not None else rate
@@ -249,14 +254,16 @@ def read_log(path: str | Path, *, rate_hz: float | None = None, columns: Iterabl
         tuple(c[1] for c in converted),
         float(rate),
         t,
+        start,
     )
 
 
-_Parts = tuple[list[str], list[str], list[NDArray[Any]], Array | None, float | None]
+_Stamps = tuple[int, Array]
+_Parts = tuple[list[str], list[str], list[NDArray[Any]], _Stamps | None, float | None]
 
 
 def parts(path: Path) -> _Parts:
-    """Return names, stated units, columns, times and rate as a log holds them, unconverted."""
+    """Return names, stated units, columns, times (ns of time 0, s from it) and rate as a log holds them, unconverted."""
     if path.suffix == ".npz":
         return _npz(path)
     if path.suffix == ".npy":
@@ -269,14 +276,14 @@ def parts(path: Path) -> _Parts:
 def _npz(path: Path) -> _Parts:
     arrays = load_npz(path)
     where = str(path)
-    t = numbers(arrays["t"], f"{where}: t") if "t" in arrays else None
+    t = counted(numbers(arrays["t"], f"{where}: t")) if "t" in arrays else None
     rate = scalar(arrays["fs"], f"{where}: fs") if "fs" in arrays else None
     if "gyro_counts" in arrays and "acc_counts" in arrays and "columns" not in arrays:
         blocks = [numbers(arrays[k], f"{where}: {k}") for k in ("gyro_counts", "acc_counts")]
         for key, block in zip(("gyro_counts", "acc_counts"), blocks, strict=True):
             if block.ndim != 2 or block.shape[1] != 3:
                 raise InputError(f"has shape {block.shape}, expected (n, 3)", where=f"{where}: {key}")
-        if blocks[0].shape != blocks[1].shape or (t is not None and t.shape != blocks[0].shape[:1]):
+        if blocks[0].shape != blocks[1].shape or (t is not None and t[1].shape != blocks[0].shape[:1]):
             raise InputError("gyro_counts, acc_counts and t have different lengths", where=where)
         data = np.hstack(blocks)
         return list(COLUMNS), ["counts"] * 6, list(data.T), t, rate
@@ -304,8 +311,8 @@ def _npz(path: Path) -> _Parts:
         if scale.shape not in ((), (1,), (width,)):
             raise InputError(f"has shape {scale.shape}, expected ({width},)", where=f"{where}: scale")
         block = block * scale
-    if t is not None and t.shape != (block.shape[0],):
-        raise InputError(f"has shape {t.shape}, expected ({block.shape[0]},)", where=f"{where}: t")
+    if t is not None and t[1].shape != (block.shape[0],):
+        raise InputError(f"has shape {t[1].shape}, expected ({block.shape[0]},)", where=f"{where}: t")
     return names, units, list(np.ascontiguousarray(block.T)), t, rate
 
 
@@ -385,17 +392,16 @@ def _unnamed_time(columns: Sequence[NDArray[Any]]) -> int | None:
     )
 
 
-def _times(stamps: NDArray[Any], name: str, unit: str, path: Path) -> Array:
-    """A time column in s."""
-    values = np.asarray(stamps, dtype=np.float64)
+def _times(stamps: NDArray[Any], name: str, unit: str, path: Path) -> _Stamps:
+    """A time column: ns of time 0, and s from it."""
     if not unit:
-        unit, evidence = stamp_unit(values, name)
+        unit, evidence = stamp_unit(stamps, name)
         if unit != "s":
             _LOGGER.warning("%s: the times are taken as %s (%s)", path, unit, evidence)
     parsed = parse_unit(unit)
     if parsed.dimension != parse_unit("s").dimension:
         raise InputError(f"the time column has the unit '{unit}', expected s, ms or us", where=f"{path}: {name}")
-    return values * parsed.factor
+    return counted(stamps, parsed.factor)
 
 
 def _is_time(x: Array, *, even: bool = True) -> bool:

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.formats.columns import ColumnMap, guess_map, split_header
-from insemu.formats.decoding import decoding, encoding_of, head_of, open_text
-from insemu.formats.text import joined, pieces
+from insemu.formats.decoding import decoding, encoding_of, head_of, open_for_pandas, open_text
+from insemu.formats.text import Growing, pieces
 from insemu.records import AidRecord
 from insemu.units import parse_unit
 
@@ -192,11 +192,12 @@ def read_delimited(
         header, delimiter, skip, decimal = _layout(path, comments)
         parts: list[list[NDArray[Any] | None]] = []
         rows: list[int] = []
-        with open_text(path) as file:
+        with open_for_pandas(path) as file:
             for frame in pieces(
                 file,
                 sep=delimiter or r"\s+",
                 skiprows=skip,
+                skipinitialspace=True,
                 decimal=decimal,
                 index_col=False,
                 **({"chunksize": None} if text else {}),  # what is text is seen of the whole
@@ -235,9 +236,11 @@ def _joined(part: list[NDArray[Any] | None], rows: Sequence[int]) -> NDArray[Any
         return None
     kind = np.result_type(*(p for p in part if p is not None))
     empty = np.datetime64("NaT") if kind.kind == "M" else np.nan
-    (column,) = joined([[np.full(n, empty) if p is None else p for p, n in zip(part, rows, strict=True)]])
-    part.clear()
-    return column
+    column = Growing(1)
+    for k, n in enumerate(rows):
+        piece, part[k] = part[k], None
+        column.add([np.full(n, empty) if piece is None else piece.astype(kind, copy=False)])
+    return column.whole()[0]
 
 
 def _numbered(width: int) -> list[str]:

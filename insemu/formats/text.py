@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import gzip
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError
-from insemu.formats.decoding import decoding, open_text
+from insemu.formats.decoding import decoding, open_for_pandas, open_text
 from insemu.whole import put
 
 Array = NDArray[np.float64]
@@ -41,33 +41,56 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def pieces(file: IO[str], **options: Any) -> Iterator[Any]:
+def pieces(file: Any, **options: Any) -> Iterator[Any]:
     """Yield delimited text as pandas frames of at most :data:`PIECE` rows, so that only the columns are ever held as a whole.
 
     Numbers are the nearest floats; columns of whole numbers stay integers.
 
     Parameters
     ----------
-    file : text file
-        At the first row; there is no header.
+    file : file
+        Of :func:`insemu.formats.decoding.open_for_pandas`, at the first row; there is no header.
     **options
         For ``pandas.read_csv``: ``sep``, ``names``, ``comment``, ``decimal``, ...
     """
     import pandas as pd
 
     exact = {} if pd.__version__ >= "3.1" else {"float_precision": "round_trip"}  # from 3.1 on it always is
-    options = {"chunksize": PIECE, "header": None, "skipinitialspace": True, "low_memory": False, **exact, **options}
+    options = {"chunksize": PIECE, "header": None, "low_memory": False, **exact, **options}
     frames = pd.read_csv(file, **options)
     yield from frames if options["chunksize"] else [frames]
 
 
-def joined(parts: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
-    """Columns from their pieces, which are let go one column after the other."""
-    out = []
-    for part in parts:
-        out.append(part[0] if len(part) == 1 else np.concatenate(part))
-        part.clear()
-    return out
+class Growing:
+    """Columns that grow in place by pieces, so that no value is held twice.
+
+    Parameters
+    ----------
+    width : int
+        How many.
+    """
+
+    def __init__(self, width: int) -> None:
+        self.rows = 0
+        self._columns: list[NDArray[Any]] = [np.empty(0, dtype=np.int64) for _ in range(width)]
+
+    def add(self, piece: Sequence[NDArray[Any]]) -> None:
+        """Put a piece of every column, (n,) each, behind what is there; whole numbers become floats where floats follow."""
+        end = self.rows + piece[0].size
+        for k, values in enumerate(piece):
+            kind = np.result_type(self._columns[k], values) if self.rows else values.dtype
+            if kind != self._columns[k].dtype:
+                self._columns[k] = self._columns[k].astype(kind)
+            if end > self._columns[k].size:
+                self._columns[k].resize(max(end, self._columns[k].size * 3 // 2), refcheck=False)
+            self._columns[k][self.rows : end] = values
+        self.rows = end
+
+    def whole(self) -> list[NDArray[Any]]:
+        """The columns; nothing can be added any more."""
+        for column in self._columns:
+            column.resize(self.rows, refcheck=False)
+        return self._columns
 
 
 def read_table(path: Path) -> tuple[list[str] | None, list[NDArray[Any]]]:
@@ -105,8 +128,8 @@ def read_table(path: Path) -> tuple[list[str] | None, list[NDArray[Any]]]:
 
 def _fast(path: Path, delimiter: str | None, first: int, width: int) -> list[NDArray[Any]] | None:
     """Columns of well-formed numbers; None where anything else is in them, or a line is short."""
-    parts: list[list[NDArray[Any]]] = [[] for _ in range(width)]
-    with open_text(path) as file:
+    columns = Growing(width)
+    with open_for_pandas(path) as file:
         for _ in range(first):
             file.readline()
         missing = [v for m in _MISSING for v in {m, m.upper(), m.capitalize(), m.replace("nan", "NaN")}]
@@ -116,16 +139,15 @@ def _fast(path: Path, delimiter: str | None, first: int, width: int) -> list[NDA
                 file, sep=delimiter or r"\s+", names=names, comment="#", keep_default_na=False, na_values=missing
             ):
                 found = [frame[k].to_numpy() for k in names]
-                if frame.index.start != sum(p.size for p in parts[0]) or any(c.dtype.kind not in "iuf" for c in found):
+                if frame.index.start != columns.rows or any(c.dtype.kind not in "iuf" for c in found):
                     return None
-                for part, column in zip(parts, found, strict=True):
-                    part.append(column)
+                columns.add(found)
         except InputError:
             raise
         except (ValueError, OverflowError, AttributeError):  # an index that is no range: the first line is too long
             return None
-    columns = joined(parts)
-    return None if np.isnan(columns[-1].max()) and _short(path, delimiter, first, width) else columns
+    whole = columns.whole()
+    return None if np.isnan(whole[-1].max()) and _short(path, delimiter, first, width) else whole
 
 
 def _short(path: Path, delimiter: str | None, first: int, width: int) -> bool:

@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import rotation
+from insemu.formats import round_rate
 from insemu.intake.card import Level, Line
 from insemu.intake.motion import Push, Turn, up_of
 from insemu.records import ImuRecord
+from insemu.stamps import beat, samples
 
 Array = NDArray[np.float64]
 
@@ -69,8 +71,8 @@ def timing(t: Array, counts: Mapping[str, int], *, moving: bool = True) -> list[
         Whether a long gap loses the motion, so that one of its sides is what can be used. Fits of a log at rest take gaps.
     """
     step = np.diff(t)
-    dt = float(np.median(step))
-    rate = 1.0 / dt
+    dt = beat(t)
+    rate = round_rate(1.0 / dt)
     out = []
     text = f"{t.size} samples at {rate:.6g} Hz in {t[-1] - t[0]:.6g} s"
     spread = float(np.quantile(np.abs(step - dt), 0.9)) / dt
@@ -81,8 +83,9 @@ def timing(t: Array, counts: Mapping[str, int], *, moving: bool = True) -> list[
         out.append(Line("rate", "wrong", f"{text}; {hint}", f'--map "time_unit={unit}"' if unit else ""))
     else:
         out.append(Line("rate", "odd" if spread > 0.5 else "ok", text))
-    gaps = np.flatnonzero(step > GAP * dt + 1e-9)
-    lost = int(np.round(step[gaps] / dt - 1.0).sum()) if gaps.size else 0
+    spans = samples(t, dt)
+    gaps = np.flatnonzero((step > GAP * dt + 1e-9) & (spans > 1.0))
+    lost = int((spans[gaps] - 1.0).sum())
     if gaps.size and spread <= 0.5:
         k = int(gaps[np.argmax(step[gaps])])
         text = f"{gaps.size} gap(s), {lost} of {t.size + lost} samples lost, the longest {step[k]:.4g} s, {t[k] - t[0]:.6g} s after the start"

@@ -107,7 +107,8 @@ def _is_log(probe: Probe) -> bool:
 
 
 def _read_log(path: Path, settings: Mapping[str, str]) -> list[Table]:
-    names, units, data, t, rate = static.parts(path)
+    names, units, data, stamps, rate = static.parts(path)
+    start, t = stamps if stamps is not None else (0, None)
     columns: dict[str, NDArray[Any]] = dict(zip(names, data, strict=True))
     used = parse_map("gyro=gx gy gz, accel=ax ay az") if set(COLUMNS) <= set(names) else guess_map(names)
     if t is not None:
@@ -116,7 +117,7 @@ def _read_log(path: Path, settings: Mapping[str, str]) -> list[Table]:
     elif rate is not None:
         used = used.over(ColumnMap({}, {"rate": f"{rate!r} Hz"}))
     stated = {n: u for n, u in zip(names, units, strict=True) if u.lower() not in ("counts", "count", "lsb", "raw")}
-    return [Table(path.name, columns, stated, used)]
+    return [Table(path.name, columns, stated, used, start=start)]
 
 
 register(Reader("recording (.npz or folder)", _is_recording, _read_recording, rank=0, aids=recording.aids_of))
