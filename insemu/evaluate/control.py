@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from insemu.evaluate.coarse import CoarseTwin
+from insemu.evaluate.coarse import BATCH, CoarseTwin
 from insemu.evaluate.results import Results
 from insemu.evaluate.twin import LinearTwin
 
@@ -21,11 +21,12 @@ CORRELATED = 0.9
 #: Coarse runs for a full one. With a fiftieth of its cost and a correlation of 0.999 the least variance for all cost lies at about 160 (Giles 2008,
 #: section 3: the root of rho^2 / (1 - rho^2) times the ratio of the costs); half of that costs little of it and half the time.
 COARSE = 80
-#: Smallest correlation at which linear errors stand for the design's own (they differ by less than 14 % of their spread), and realizations that tell.
-#: Table III with 12: 0.976 where the filter is far too sure of itself (``benchmarks/scale.py twin``), above 0.999 elsewhere.
-LINEAR, CHECKED = 0.99, 12
-#: Linear realizations for one at long steps, in a preview: a quarter as many cost about as much again.
-PREVIEW = 4
+#: Smallest correlation at which linear errors stand for the design's own (they differ by less than 14 % of their spread), runs that tell at most,
+#: and how many are flown at a time until the interval of the correlation lies above. Table III: 0.98 where the filter is far too sure of itself
+#: (``benchmarks/twin.py``), above 0.999 elsewhere.
+LINEAR, CHECKED, LOT = 0.99, 12, 4
+#: Linear realizations for one run at long steps of a design that is not linear, and most such runs: they only tell what the linear ones differ by.
+PREVIEW, MOST = 8, 160
 #: Level of the quantile that is reported, and points of the linear distribution and resamples from which it is made.
 LEVEL, POINTS, RESAMPLES = 0.95, 400, 400
 
@@ -181,31 +182,57 @@ def control(results: Results, twin: LinearTwin, many: Mapping[str, Array]) -> di
         return out
     coarse = CoarseTwin(twin, refused)
     paired = [coarse.realization(r) for r in range(results.realizations)]
-    drawn = coarse.draw(COARSE * results.realizations, coarse.rng)
+    drawn = coarse.draw(COARSE * results.realizations, refused)
     for name in refused:
         out[name] = _cells(results, name, paired, drawn[name], "coarse")
     return out
 
 
-def beyond_linear(twin: LinearTwin) -> dict[str, float]:
-    """Designs whose linear errors are not those of the design itself, with the correlation of both, which is below :data:`LINEAR`.
-
-    The designs fly at long steps (:class:`CoarseTwin`) under the draws of the first :data:`CHECKED` realizations; errors at the ends of all
-    outages count together. Nothing says so of a design that the coarse twin cannot fly either.
+@dataclass(frozen=True)
+class Beyond:
+    """A design whose linear errors are not its own.
 
     Parameters
     ----------
-    twin : LinearTwin
+    correlation : float
+        Of both under the same draws, below :data:`LINEAR`.
+    coarse, linear : (runs, outages, 9) arrays
+        Errors of the design flown at long steps, and of the linear twin under the same draws.
     """
-    coarse = CoarseTwin(twin, list(twin.designs))
-    pairs = [(twin.realization(r), coarse.realization(r)) for r in range(CHECKED)]
-    out = {}
-    for name in twin.designs:
-        one, other = (np.concatenate([planimetric(p[k][name]) for p in pairs]) for k in (0, 1))
-        found = float(np.corrcoef(one, other)[0, 1])
-        if not found >= LINEAR:
-            out[name] = found
-    return out
+
+    correlation: float
+    coarse: Array
+    linear: Array
+
+    @property
+    def reason(self) -> str:
+        """Why it counts as not linear, in words."""
+        rms = [float(np.sqrt((planimetric(e) ** 2).mean())) for e in (self.coarse, self.linear)]
+        return (
+            f"under the same draws errors of {len(self.coarse)} runs of the filter at long steps (rms {rms[0]:.3g} m) correlate with the linear "
+            f"ones (rms {rms[1]:.3g} m) to {self.correlation:.2f} only, expected {LINEAR:g}"
+        )
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a preview says of a design at the end of an outage, or of all outages together, m.
+
+    Parameters
+    ----------
+    mean : Figure
+    quantile_95, rms : float
+    by : str
+        ``linear``; ``coarse``: runs at long steps, helped by linear ones.
+    runs : int
+        How many of these.
+    """
+
+    mean: Figure
+    quantile_95: float
+    rms: float
+    by: str
+    runs: int
 
 
 @dataclass(frozen=True)
@@ -215,29 +242,91 @@ class Preview:
     Parameters
     ----------
     errors : mapping of design to (N, outages, 9) array
-        Navigation errors at the ends of the outages.
-    beyond : mapping of design to float
-        Designs that are not linear, and their correlation (:func:`beyond_linear`): theirs are a quarter as many runs at long steps.
+        Navigation errors at the ends of the outages, to first order.
+    mean_square : mapping of design to (outages,) array
+        Their planimetric mean square, without a draw, m^2.
+    beyond : mapping of design to Beyond
+        Designs that are not linear.
     """
 
     errors: Mapping[str, Array]
-    beyond: Mapping[str, float]
+    mean_square: Mapping[str, Array]
+    beyond: Mapping[str, Beyond]
+
+    def told(self, design: str, outage: int | None = None) -> Told:
+        """The figures of a design at the end of one outage (from 0), or of all: the mean over outages and the quantile of their errors.
+
+        Parameters
+        ----------
+        design : str
+        outage : int, optional
+        """
+        outages = slice(None) if outage is None else slice(outage, outage + 1)
+        many, mean_square = planimetric(self.errors[design][:, outages]), self.mean_square[design][outages]
+        found = self.beyond.get(design)
+        if found is None:
+            values = many.mean(axis=1)
+            half = float(1.96 * values.std(ddof=1) / np.sqrt(values.size))
+            mean = Figure(float(values.mean()), float(values.mean()) - half, float(values.mean()) + half)
+            return Told(mean, float(np.quantile(many, LEVEL)), float(np.sqrt(mean_square.mean())), "linear", len(many))
+        full, paired = planimetric(found.coarse[:, outages]), planimetric(found.linear[:, outages])
+        pooled = controlled(full.mean(axis=1), paired.mean(axis=1), many.mean(axis=1), "coarse")
+        each = [controlled(full[:, k], paired[:, k], many[:, k], "coarse") for k in range(full.shape[1])]
+        rms = float(np.sqrt(np.mean([c.mean.value**2 + c.spread**2 for c in each])))
+        together = each[0] if len(each) == 1 else controlled(full.ravel(), paired.ravel(), many.ravel(), "coarse")
+        return Told(pooled.mean, together.quantile.value, rms, "coarse", len(full))
+
+
+def beyond_linear(twin: LinearTwin, runs: int) -> dict[str, Beyond]:
+    """Designs whose linear errors are not those of the design itself.
+
+    The designs fly at long steps (:class:`CoarseTwin`), and the twin takes the same draws; errors at the ends of all outages count together. A
+    design flies until the interval of the correlation (Fisher's transformation) lies above :data:`LINEAR`, at most :data:`CHECKED` times. Nothing says
+    so of a design that the coarse twin cannot fly either.
+
+    Parameters
+    ----------
+    twin : LinearTwin
+    runs : int
+        Runs at long steps of those designs.
+    """
+    coarse = CoarseTwin(twin, list(twin.designs))
+    flown: dict[str, list[Array]] = {name: [] for name in twin.designs}
+    linear: dict[str, list[Array]] = {name: [] for name in twin.designs}
+    left = list(twin.designs)
+
+    def fly(first: int, last: int) -> None:
+        draws = coarse.draws(first, last)
+        one, other = coarse.flown(draws, left), coarse.linear(draws)
+        for name in left:
+            flown[name].append(one[name])
+            linear[name].append(other[name])
+
+    def correlation(name: str) -> tuple[float, int]:
+        one, other = (planimetric(np.concatenate(parts[name])).ravel() for parts in (flown, linear))
+        return float(np.corrcoef(one, other)[0, 1]), one.size
+
+    for first in range(0, CHECKED, LOT):
+        fly(first, first + LOT)
+        seen = {name: correlation(name) for name in left}
+        left = [n for n, (r, count) in seen.items() if not np.tanh(np.arctanh(r) - 1.96 / np.sqrt(max(count - 3, 1))) > LINEAR]
+    left = [name for name in left if not correlation(name)[0] >= LINEAR]
+    for first in range(CHECKED, runs, BATCH) if left else ():
+        fly(first, min(first + BATCH, runs))
+    return {n: Beyond(correlation(n)[0], np.concatenate(flown[n]), np.concatenate(linear[n])) for n in left}
 
 
 def previewed(twin: LinearTwin, realizations: int) -> Preview:
-    """Draw linear realizations, and filters at long steps where a design is not linear.
+    """Draw linear realizations, and tell of designs that are not linear by how much runs at long steps differ from them.
 
     Parameters
     ----------
     twin : LinearTwin
     realizations : int
     """
-    beyond = beyond_linear(twin)
-    errors = twin.draw(realizations, twin.rng)
-    if beyond:
-        coarse = CoarseTwin(twin, list(beyond))
-        errors |= coarse.draw(max(2, realizations // PREVIEW), coarse.rng)
-    return Preview(errors, beyond)
+    beyond = beyond_linear(twin, min(MOST, realizations // PREVIEW))
+    square = {name: e[:, 0, 0] + e[:, 1, 1] for name, e in twin.mean_square().items()}
+    return Preview(twin.draw(realizations, twin.rng), square, beyond)
 
 
 def _cells(

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri
 
 from insemu import yamlfile
 from insemu.errors import InputError
@@ -356,18 +355,15 @@ def _linear_rows(experiment: Experiment, realizations: int, step: Progress) -> l
     step(0, realizations, "linear errors")
     twin = LinearTwin(experiment)
     step(0, realizations, "realizations")
-    out, told = [], previewed(twin, realizations)
-    for name, errors in told.errors.items():
-        ends = np.hypot(errors[..., 0], errors[..., 1])
-        pooled = ends.mean(axis=1)
-        mean, half = float(pooled.mean()), float(-ndtri(0.025) * pooled.std(ddof=1) / np.sqrt(pooled.size))
-        stated = float(np.sqrt((twin.stated[name] ** 2).mean()))
-        factor = float(np.sqrt((ends**2).mean())) / stated
+    out, preview = [], previewed(twin, realizations)
+    for name, stated_at in twin.stated.items():
+        told = preview.told(name)
+        stated = float(np.sqrt((stated_at**2).mean()))
+        factor = told.rms / stated
         knows = "yes" if 1.0 / MATERIAL <= factor <= MATERIAL else "optimistic" if factor > 1.0 else "pessimistic"
         out.append({
-            "design": name, "states": experiment.ekf(name).layout.n, "error_m": mean, "low_m": mean - half, "high_m": mean + half,
-            "quantile_95_m": float(np.quantile(ends, 0.95)), "stated_m": stated, "knows": knows,
-            "by": "coarse" if name in told.beyond else "linear",
+            "design": name, "states": experiment.ekf(name).layout.n, "error_m": told.mean.value, "low_m": told.mean.low,
+            "high_m": told.mean.high, "quantile_95_m": told.quantile_95, "stated_m": stated, "knows": knows, "by": told.by,
         })  # fmt: skip
     return out
 

@@ -16,8 +16,9 @@ from insemu.filters.alignment import (
 )
 from insemu.filters.ekf import LooselyCoupledEKF, run_filter
 from insemu.filters.events import SAME_TIME
+from insemu.filters.gains import Gains, gains_along, on_ideal_data
 from insemu.filters.gpu import GPU_THREADS, Gpu
-from insemu.filters.joint import JointSystem, error_maps, ideal_fixes
+from insemu.filters.joint import JointSystem, error_maps
 from insemu.filters.likeliest import Innovations, Likeliest, likeliest, uncertainty
 from insemu.filters.motion import align_in_motion
 from insemu.filters.options import FilterOptions, InitialSigma
@@ -34,7 +35,7 @@ from insemu.filters.results import FilterResult, FixTable, Nodes, log_density
 from insemu.filters.smoothed import cross_covariance, smoothed_at
 from insemu.filters.smoother import SmootherResult, smooth
 from insemu.filters.start import start
-from insemu.filters.twin import LinearErrors, driven, step_matrices
+from insemu.filters.twin import Carried, Intervals, LinearErrors, carried, driven, root_of, transitions
 
 __all__ = [
     "AIDS",
@@ -44,14 +45,17 @@ __all__ = [
     "Aid",
     "AidUse",
     "Alignment",
+    "Carried",
     "Extras",
     "FilterOptions",
     "FilterParts",
     "FilterResult",
     "FixTable",
+    "Gains",
     "Gpu",
     "InitialSigma",
     "Innovations",
+    "Intervals",
     "JointSystem",
     "Likeliest",
     "LinearErrors",
@@ -66,26 +70,29 @@ __all__ = [
     "align",
     "align_at_rest",
     "align_in_motion",
+    "carried",
     "check_result",
     "cross_covariance",
     "cut",
     "driven",
     "error_maps",
     "first_track",
-    "ideal_fixes",
+    "gains_along",
     "likeliest",
     "log_density",
     "never_moves",
+    "on_ideal_data",
     "on_reference",
     "on_track",
     "register_filter",
     "rests",
+    "root_of",
     "run_filter",
     "sigma_of_fixes",
     "smooth",
     "smoothed_at",
     "start",
-    "step_matrices",
+    "transitions",
     "uncertainty",
     "user_filter",
     "user_filter_code",
