@@ -110,7 +110,7 @@ def test_keys_lead_into_the_scenario(file: Path) -> None:
 
 
 def row(design: str, states: int, error: float, knows: str = "yes", spread: float = 0.1) -> Row:
-    return Row(1, {}, design, states, error, error - spread, error + spread, 2 * error, error, knows, "flights")
+    return Row(1, {}, design, states, error, error - spread, error + spread, 2 * error, error, knows, "flights", "")
 
 
 def test_what_to_take_and_the_front() -> None:

@@ -140,13 +140,15 @@ class CoarseTwin:
     def linear(self, draws: Sequence[Drawn]) -> dict[str, Array]:
         """What the linear twin makes of the same draws, (runs, outages, 9) of every design."""
         twin, width = self._linear, self.rows / self.world.rate_hz
-        axes = np.zeros((len(draws), len(self.world.imu), 6))
-        rows = 1 + np.arange(int(twin.ends[-1]))
-        for k, one in enumerate(draws):
-            axes[k, rows] = np.repeat(one.sums / width, self.rows, axis=0)
-        drive = twin.intervals.drive(twin.intervals.projected(axes))
-        before = axes[:, np.maximum(twin.epoch - self.rows, 1)]  # the rate at a fix is carried on from the last two steps
-        return twin.under([one.start[0] for one in draws], drive, axes[:, twin.epoch], before, [one.fixes for one in draws])
+        drive, now, before = [], [], []
+        for one in draws:
+            axes = np.zeros((len(self.world.imu), 6))
+            axes[1 : int(twin.ends[-1]) + 1] = np.repeat(one.sums / width, self.rows, axis=0)
+            drive.append(twin.intervals.drive(axes))
+            now.append(axes[twin.epoch])
+            before.append(axes[np.maximum(twin.epoch - self.rows, 1)])  # the rate at a fix is carried on from the last two steps
+        starts, fixes = [one.start[0] for one in draws], [one.fixes for one in draws]
+        return twin.under(starts, np.stack(drive), np.stack(now), np.stack(before), fixes)
 
     def _drawn(self, rng: np.random.Generator) -> GnssRecord:
         """Fixes with errors of their own, as the emulator makes them."""

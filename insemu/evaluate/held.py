@@ -12,6 +12,9 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 
+#: Most samples of a flight that is kept when nobody uses it.
+ROWS = 1_000_000
+
 
 class Held:
     """The results that were asked for last.
@@ -27,7 +30,7 @@ class Held:
         self._kept: OrderedDict[Hashable, Any] = OrderedDict()
         self._lock = Lock()
 
-    def get(self, key: Hashable, make: Callable[[], T]) -> T:
+    def get(self, key: Hashable, make: Callable[[], T], rows: int = 0) -> T:
         """What is kept under a key, or made now.
 
         Parameters
@@ -35,6 +38,8 @@ class Held:
         key : hashable
             Says everything that the result depends on.
         make : callable
+        rows : int
+            Samples that it holds; above :data:`ROWS` it is not kept.
         """
         with self._lock:
             if key in self._kept:
@@ -42,15 +47,16 @@ class Held:
                 found: T = self._kept[key]
                 return found
         made = make()
-        with self._lock:
-            self._kept[key] = made
-            while len(self._kept) > self.most:
-                self._kept.popitem(last=False)
+        if rows <= ROWS:
+            with self._lock:
+                self._kept[key] = made
+                while len(self._kept) > self.most:
+                    self._kept.popitem(last=False)
         return made
 
 
 #: Of this process: references, their intervals, fitted beliefs.
-HELD = Held(8)
+HELD = Held(9)
 
 
 def key_of(content: Any, files: Sequence[Path]) -> str:

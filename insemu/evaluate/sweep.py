@@ -198,6 +198,8 @@ class Row:
         ``yes``, ``optimistic`` or ``pessimistic``.
     by : str
         What the errors are of: ``flights``, ``linear`` realizations, or ``coarse`` runs at long steps (a design that is not linear).
+    why : str
+        Why a design is not linear; empty otherwise.
     """
 
     point: int
@@ -211,6 +213,7 @@ class Row:
     stated_m: float
     knows: str
     by: str
+    why: str
 
     def flat(self) -> dict[str, Any]:
         """As a line of a table."""
@@ -344,6 +347,7 @@ def _flown_rows(results: Results) -> list[dict[str, Any]]:
             "stated_m": s.stated_m,
             "knows": s.knows,
             "by": "flights",
+            "why": "",
         }
         for s in standings(results)
     ]
@@ -364,6 +368,7 @@ def _linear_rows(experiment: Experiment, realizations: int, step: Progress) -> l
         out.append({
             "design": name, "states": experiment.ekf(name).layout.n, "error_m": told.mean.value, "low_m": told.mean.low,
             "high_m": told.mean.high, "quantile_95_m": told.quantile_95, "stated_m": stated, "knows": knows, "by": told.by,
+            "why": preview.beyond[name].reason if name in preview.beyond else "",
         })  # fmt: skip
     return out
 

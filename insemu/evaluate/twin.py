@@ -69,7 +69,6 @@ class LinearTwin:
         assert isinstance(world, EmulatedWorld) and s.truth is not None
         self.experiment, self.world = experiment, world
         self._start, self._record = NavState.of(world.reference), world.imu.as_increments()
-        self._nav = HELD.get((world.key, "nav"), self._mechanized)
         fixes = world.recording(0, ideal=True).gnss
         assert fixes is not None
         self._fixes = GnssRecord(fixes.t, fixes.llh, fixes.vel_ned)
@@ -83,14 +82,16 @@ class LinearTwin:
         events = filters[able[0]].events(t, self._fixes)
         self.epoch = events.epoch
         nodes = np.unique(np.concatenate([self.epoch, self.ends]))
-        self.intervals: Intervals = HELD.get(
-            (world.key, nodes.tobytes()), lambda: Intervals.of(self._record, self._nav, world.gravity, nodes)
-        )
+        self._nav: Array
+        self.intervals: Intervals
+        self._nav, self.intervals = HELD.get((world.key, nodes.tobytes()), lambda: self._along(nodes), t.size)
         self._kept = self._fixes.rows(np.isin(self._fixes.t, events.t))
         self._designs(filters, 9 + max(ekf.augmentation.m for ekf in filters.values()))
 
-    def _mechanized(self) -> Array:
-        return mechanize_array(self._record, self._start, gravity=self.world.gravity)
+    def _along(self, nodes: Ints) -> tuple[Array, Intervals]:
+        """The reference at all rows, and cut at the nodes."""
+        nav = mechanize_array(self._record, self._start, gravity=self.world.gravity)
+        return nav, Intervals.of(self._record, nav, self.world.gravity, nodes)
 
     def _designs(self, filters: dict[str, LooselyCoupledEKF], n: int) -> None:
         """The systems of all designs, in arrays of one width."""
@@ -136,7 +137,7 @@ class LinearTwin:
         one, true = recording.imu.as_increments(), self._record
         axes = np.hstack([one.gyro - true.gyro, one.accel - true.accel]) / true.widths(0.0)
         assert recording.gnss is not None
-        drive = self.intervals.drive(self.intervals.projected(axes))
+        drive = self.intervals.drive(axes)
         # the rate at a fix is carried on from the last two steps: with a lever arm its error in the velocity is that of both
         before = axes[np.maximum(self.epoch - 1, 1)]
         found = self.under([start], drive[None], axes[None, self.epoch], before[None], [recording.gnss])

@@ -26,8 +26,9 @@ from insemu.strapdown import fill_dynamics
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-#: Polynomials of a gain over an interval, at most; longest interval at first, s; share of a gain's norm that they may leave.
-TERMS, LONGEST, LEFT = 8, 1.0, 1e-6
+#: Polynomials of a gain over an interval, at most; longest interval at first, s. What they leave of a gain is orthogonal to them, so that a variance is
+#: off by the square of the share of the norm that may be left.
+TERMS, LONGEST, LEFT = 8, 1.0, 1e-3
 
 
 @dataclass(frozen=True)
@@ -95,18 +96,16 @@ class Intervals:
         return [(int(n), np.flatnonzero(lengths == n)) for n in np.unique(lengths)]
 
     def projected(self, values: Array) -> Array:
-        """Values (..., n, 6) at every row on the polynomials of their intervals: (..., k, 6, TERMS)."""
-        out = np.empty((*values.shape[:-2], self.nodes.size - 1, 6, TERMS))
+        """Values (n, 6) at every row on the polynomials of their intervals: (k, 6, TERMS)."""
+        out = np.empty((self.nodes.size - 1, 6, TERMS))
         for length, which in self.by_length:
             rows = self.nodes[which][:, None] + np.arange(1, length + 1)
-            out[..., which, :, :] = np.einsum("...kla,lp->...kap", values[..., rows, :], basis(length), optimize=True)
+            out[which] = (basis(length).T @ values[rows]).transpose(0, 2, 1)
         return out
 
-    def drive(self, projected: Array) -> Array:
-        """What errors of the axes (..., k, 6, TERMS) of :meth:`projected` do to the navigation errors within the intervals: (..., k, 9)."""
-        k = self.nodes.size - 1
-        flat = projected.reshape(*projected.shape[:-2], -1, 1)
-        return np.asarray((self.gain.reshape(k, 9, -1) @ flat)[..., 0])
+    def drive(self, values: Array) -> Array:
+        """What errors of the axes (n, 6) at every row do to the navigation errors within the intervals: (k, 9)."""
+        return np.einsum("krap,kap->kr", self.gain, self.projected(values))
 
 
 def basis(length: int) -> Array:
