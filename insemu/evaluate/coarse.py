@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 #: Longest step, s. On Table III errors at outage ends correlate with those of flights to 0.9997 or better at 0.2 s, to 0.99 at 0.5 s (8 flights).
 STEP = 0.2
 #: Runs whose errors are drawn at a time.
-BATCH = 32
+BATCH = 8
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,9 @@ class CoarseTwin:
         self._stated, self._fixes = world.fixes(rng), world.fixes(rng, ideal=True)
         self._filters = {name: _slower(linear.experiment, name, world.rate_hz / self.rows) for name in designs}
         transition, noise = summed(linear.truth, self.rows)
-        self._step = transition, root_of(noise)
+        self._step = transition, _wide(root_of(noise), len(noise))
+        behind, noise = summed(linear.truth, len(world.imu) - 1 - int(ends[-1]))
+        self._rest = behind, _wide(root_of(noise), len(noise))
 
     def realization(self, index: int) -> dict[str, Array]:
         """Navigation errors (outages, 9) at the ends of the outages under the draws of one realization of the experiment."""
@@ -137,8 +139,14 @@ class CoarseTwin:
         parts = [self.flown(self.draws(a, b), designs) for a, b in pairwise(ends)]
         return {name: np.concatenate([part[name] for part in parts]) for name in designs}
 
-    def linear(self, draws: Sequence[Drawn]) -> dict[str, Array]:
-        """What the linear twin makes of the same draws, (runs, outages, 9) of every design."""
+    def linear(self, draws: Sequence[Drawn], designs: Sequence[str]) -> dict[str, Array]:
+        """What the linear twin makes of the same draws, (runs, outages, 9).
+
+        Parameters
+        ----------
+        draws : sequence of Drawn
+        designs : sequence of str
+        """
         twin, width = self._linear, self.rows / self.world.rate_hz
         drive, now, before = [], [], []
         for one in draws:
@@ -148,7 +156,7 @@ class CoarseTwin:
             now.append(axes[twin.epoch])
             before.append(axes[np.maximum(twin.epoch - self.rows, 1)])  # the rate at a fix is carried on from the last two steps
         starts, fixes = [one.start[0] for one in draws], [one.fixes for one in draws]
-        return twin.under(starts, np.stack(drive), np.stack(now), np.stack(before), fixes)
+        return twin.under(starts, np.stack(drive), np.stack(now), np.stack(before), fixes, designs)
 
     def _drawn(self, rng: np.random.Generator) -> GnssRecord:
         """Fixes with errors of their own, as the emulator makes them."""
@@ -165,23 +173,20 @@ class CoarseTwin:
         parts, m = self._linear.segments, self._linear.truth.m
         transition, noise = self._step
         steps = len(self._imu) - 1
-        roots = [[root_of(added) for _, added in side] for side in (parts.before, parts.after)]
-        rest = self._linear.truth, len(self.world.imu) - 1 - int(self._linear.ends[-1])
-        behind, added = summed(*rest) if parts.length else (np.eye(m + 6), np.zeros((m + 6, m + 6)))
-        tail = root_of(added)
+        behind, tail = self._rest
         place = np.arange(first, first + len(streams)) % max(len(parts.before), 1)
         xi = [np.stack([rng.standard_normal(shape) for rng in streams]) for shape in (m, m + 6, (steps, m + 6), m + 6, m + 6)]
         y = np.zeros((len(streams), m + 6))
         y[:, :m] = xi[0] @ _wide(root_of(parts.first[:m, :m]), m).T
         if parts.length:
-            y = beside(y, xi[1], place, parts.before, roots[0])
-        w = xi[2] @ _wide(noise, m + 6).T
+            y = beside(y, xi[1], place, parts.before, parts.roots[0])
+        w = xi[2] @ noise.T
         s = _chain(y[:, :m], transition[:m, :m], w[..., :m])
         out = s[:, :-1] @ transition[m:, :m].T + w[..., m:]
         if parts.length:  # the mean of the whole record is taken off its pieces
             y = np.hstack([s[:, -1], y[:, m:] + out.sum(axis=1)])
-            y = y @ behind.T + xi[3][:, : tail.shape[1]] @ tail.T
-            y = beside(y, xi[4], place, parts.after, roots[1])
+            y = y @ behind.T + xi[3] @ tail.T
+            y = beside(y, xi[4], place, parts.after, parts.roots[1])
             out -= self.rows * y[:, None, m:] / parts.length
         return out / self.world.rate_hz
 

@@ -26,7 +26,7 @@ COARSE = 80
 #: (``benchmarks/twin.py``), above 0.999 elsewhere.
 LINEAR, CHECKED, LOT = 0.99, 12, 4
 #: Linear realizations for one run at long steps of a design that is not linear, and most such runs: they only tell what the linear ones differ by.
-PREVIEW, MOST = 8, 160
+PREVIEW, MOST = 8, 128
 #: Level of the quantile that is reported, and points of the linear distribution and resamples from which it is made.
 LEVEL, POINTS, RESAMPLES = 0.95, 400, 400
 
@@ -108,35 +108,52 @@ def controlled(full: Array, paired: Array, many: Array, by: str = "linear") -> C
     n = full.size
     rng = np.random.default_rng(20140701)
     picks = rng.integers(0, n, (RESAMPLES, n))
-    half = stdtrit(n - 1, 0.975) * full.std(ddof=1) / np.sqrt(n)
-    mean = float(full.mean())
-    plain = Figure(mean, mean - half, mean + half)
+    plain = _plain(full)
     resampled = np.quantile(full[picks], LEVEL, axis=1)
     plain_quantile = _turned(float(np.quantile(full, LEVEL)), resampled)
+    mean, spread, correlation = regressed(full, paired, many)
+    if correlation < CORRELATED:
+        return Controlled(correlation, False, by, plain, plain_quantile, plain, plain_quantile, spread, 1.0)
+    points = np.quantile(many, (np.arange(POINTS) + 0.5) / POINTS)
+    helped = np.array([_helped_quantile(paired[p], full[p], points) for p in picks])
+    error = mean.width / 2.0 / stdtrit(n - 2, 0.975)
+    found = _turned(_helped_quantile(paired, full, points), helped)
+    return Controlled(correlation, True, by, plain, plain_quantile, mean, found, spread, spread**2 / n / error**2)
+
+
+def _plain(full: Array) -> Figure:
+    """The mean of some runs."""
+    half = stdtrit(full.size - 1, 0.975) * full.std(ddof=1) / np.sqrt(full.size)
+    return Figure(float(full.mean()), float(full.mean() - half), float(full.mean() + half))
+
+
+def regressed(full: Array, paired: Array, many: Array) -> tuple[Figure, float, float]:
+    """The mean with the help of cheap runs, the spread of a full run, and the correlation; those of the full runs alone below :data:`CORRELATED`.
+
+    Parameters
+    ----------
+    full, paired, many
+        As of :func:`controlled`.
+    """
+    n = full.size
     correlation = float(np.corrcoef(full, paired)[0, 1]) if n > 2 and paired.std() > 0 and full.std() > 0 else 0.0
     if correlation < CORRELATED:
-        return Controlled(
-            correlation, False, by, plain, plain_quantile, plain, plain_quantile, float(full.std(ddof=1)), 1.0
-        )
+        return _plain(full), float(full.std(ddof=1)), correlation
     slope, offset = _line(paired, full)
     left = full - offset - slope * paired
     scatter = float(left @ left) / (n - 2)
     off = float(many.mean() - paired.mean())
     variance = scatter * (1.0 / n + off**2 / float(((paired - paired.mean()) ** 2).sum()))
     variance += slope**2 * float(many.var(ddof=1)) / many.size
-    centre, half_ = float(offset + slope * many.mean()), stdtrit(n - 2, 0.975) * np.sqrt(variance)
-    points = np.quantile(many, (np.arange(POINTS) + 0.5) / POINTS)
-
-    def quantile(x: Array, y: Array) -> float:
-        b, a = _line(x, y)
-        return float(np.quantile((a + b * points)[:, None] + (y - a - b * x), LEVEL))
-
-    found = quantile(paired, full)
-    helped = np.array([quantile(paired[p], full[p]) for p in picks])
+    centre, half = float(offset + slope * many.mean()), float(stdtrit(n - 2, 0.975) * np.sqrt(variance))
     spread = float(np.sqrt(slope**2 * many.var(ddof=1) + scatter))
-    mean_ = Figure(centre, centre - half_, centre + half_)
-    saved = spread**2 / n / variance
-    return Controlled(correlation, True, by, plain, plain_quantile, mean_, _turned(found, helped), spread, saved)
+    return Figure(centre, centre - half, centre + half), spread, correlation
+
+
+def _helped_quantile(paired: Array, full: Array, points: Array) -> float:
+    """The quantile of the fitted line plus its residuals, over points of the cheap distribution."""
+    slope, offset = _line(paired, full)
+    return float(np.quantile((offset + slope * points)[:, None] + (full - offset - slope * paired), LEVEL))
 
 
 def _line(x: Array, y: Array) -> tuple[float, float]:
@@ -270,11 +287,13 @@ class Preview:
             mean = Figure(float(values.mean()), float(values.mean()) - half, float(values.mean()) + half)
             return Told(mean, float(np.quantile(many, LEVEL)), float(np.sqrt(mean_square.mean())), "linear", len(many))
         full, paired = planimetric(found.coarse[:, outages]), planimetric(found.linear[:, outages])
-        pooled = controlled(full.mean(axis=1), paired.mean(axis=1), many.mean(axis=1), "coarse")
-        each = [controlled(full[:, k], paired[:, k], many[:, k], "coarse") for k in range(full.shape[1])]
-        rms = float(np.sqrt(np.mean([c.mean.value**2 + c.spread**2 for c in each])))
-        together = each[0] if len(each) == 1 else controlled(full.ravel(), paired.ravel(), many.ravel(), "coarse")
-        return Told(pooled.mean, together.quantile.value, rms, "coarse", len(full))
+        mean, _, _ = regressed(full.mean(axis=1), paired.mean(axis=1), many.mean(axis=1))
+        each = [regressed(full[:, k], paired[:, k], many[:, k]) for k in range(full.shape[1])]
+        rms = float(np.sqrt(np.mean([m.value**2 + spread**2 for m, spread, _ in each])))
+        points = np.quantile(many, (np.arange(POINTS) + 0.5) / POINTS)
+        helps = np.corrcoef(full.ravel(), paired.ravel())[0, 1] >= CORRELATED
+        quantile = _helped_quantile(paired.ravel(), full.ravel(), points) if helps else float(np.quantile(full, LEVEL))
+        return Told(mean, quantile, rms, "coarse", len(full))
 
 
 def beyond_linear(twin: LinearTwin, runs: int) -> dict[str, Beyond]:
@@ -297,7 +316,7 @@ def beyond_linear(twin: LinearTwin, runs: int) -> dict[str, Beyond]:
 
     def fly(first: int, last: int) -> None:
         draws = coarse.draws(first, last)
-        one, other = coarse.flown(draws, left), coarse.linear(draws)
+        one, other = coarse.flown(draws, left), coarse.linear(draws, left)
         for name in left:
             flown[name].append(one[name])
             linear[name].append(other[name])

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,6 +97,12 @@ class Segments:
     after: Sequence[tuple[Array, Array]]
     length: int
 
+    @cached_property
+    def roots(self) -> tuple[list[Array], list[Array]]:
+        """Roots of the covariances of :attr:`before` and :attr:`after`."""
+        before, after = ([root_of(noise) for _, noise in side] for side in (self.before, self.after))
+        return before, after
+
     @classmethod
     def of(
         cls, joint: Joint, truth: tuple[Augmentation, Carried], sigma: Array, ends: Ints, record: tuple[int, int]
@@ -138,9 +145,8 @@ class Segments:
         rng : Generator
         """
         roots = [root_of(part.noise) for part in self.parts]
-        roots_of = [[root_of(noise) for _, noise in side] for side in (self.before, self.after)]
         first = root_of(self.first)
-        sizes = [first.shape[1], *(max((r.shape[1] for r in side), default=0) for side in roots_of)]
+        sizes = [first.shape[1], *(max((r.shape[1] for r in side), default=0) for side in self.roots)]
         cut = np.cumsum([0, *sizes, *(r.shape[1] for r in roots)])
         D, n = self.parts[0].own.shape[:2]
         out = np.empty((realizations, D, self.outage.size, 9))
@@ -151,7 +157,7 @@ class Segments:
             place = np.arange(start, start + count) % max(len(self.before), 1)
             s = xi[:, : sizes[0]] @ first.T
             if self.length:
-                s = beside(s, xi[:, cut[1] : cut[2]], place, self.before, roots_of[0])
+                s = beside(s, xi[:, cut[1] : cut[2]], place, self.before, self.roots[0])
             q, p = self.parts[0].states.shape[0], s.shape[1]
             z, errors = np.zeros((D, count, n)), np.empty((len(self.parts), D, count, 9))
             for k, (part, root) in enumerate(zip(self.parts, roots, strict=True)):
@@ -161,7 +167,7 @@ class Segments:
                 s = s @ part.states[:p, :p].T + w[:, D * n :]
                 errors[k] = z[:, :, :9]
             if self.length:  # the mean of the whole record is taken off its pieces
-                s = beside(s, xi[:, cut[2] : cut[3]], place, self.after, roots_of[1])
+                s = beside(s, xi[:, cut[2] : cut[3]], place, self.after, self.roots[1])
                 for k, response in enumerate(self._constants()):
                     errors[k] -= s[:, q - 12 : q - 6] / self.length @ response.transpose(0, 2, 1)
             out[start : start + count] = errors[self.outage].transpose(2, 1, 0, 3)
@@ -232,44 +238,46 @@ def _moved(joint: Joint, aug: Augmentation, truth: Carried, sigma: Array, ends: 
     if r > 9:
         unit = joint.intervals.projected(np.ones((int(joint.intervals.nodes[-1]) + 1, 6)))
         effect[:, :9, q - 6 :] = np.einsum("krap,kap->kra", joint.intervals.gain, unit)
-    fixed = [joint.K[:, d] @ np.stack([_square(one) for one in noise]) for d, noise in enumerate(joint.noise)]
-    kicks = np.concatenate(fixed, axis=1) if len(joint.epoch) else np.zeros((0, wide, 6))
+    kicks = [joint.K[:, d] @ _square(noise) for d, noise in enumerate(joint.noise)]
+    kick_of = np.concatenate(kicks, axis=1)
+    into = joint.N @ seen
+    added = truth.noise[:, order][:, :, order]
     starts = np.searchsorted(joint.intervals.at(joint.epoch), np.arange(joint.intervals.nodes.size + 1))
     asked = set(joint.intervals.at(np.asarray(ends)).tolist())
     C = np.zeros((wide + p, wide + p))
     C[:wide, :wide] = np.kron(np.ones((D, D)), np.pad(np.diag(sigma**2), (0, n - 9)))
-    own, by, moved = np.tile(np.eye(n), (D, 1, 1)), np.zeros((D, n, q)), np.eye(q)
-    nothing, passed = np.zeros((D, n, 9 + p)), np.zeros((p, 9 + p))
-    nothing[:, range(9), range(9)] = 1.0
-    passed[:, 9:] = np.eye(p)
+    start = np.tile(np.eye(n), (D, 1, 1)), np.zeros((D, n, q)), np.eye(q)
+    own, by, moved = start
+    unmoved, passed = np.zeros((D, n, 9 + p)), np.eye(p, 9 + p, 9)
+    unmoved[:, range(9), range(9)] = 1.0
     out = []
     for node in range(joint.intervals.nodes.size):
-        Z, B, S, W = np.tile(np.eye(n), (D, 1, 1)), np.zeros((D, n, q)), np.eye(q), nothing
+        Z, B, S = start
         if node:
             Z, B, S = joint.transition[node - 1], np.broadcast_to(effect[node - 1], (D, n, q)), states[node - 1]
-        kick = np.zeros((wide, 0))
+        W, kick = unmoved, np.zeros((wide, 0))
         for f in range(starts[node], starts[node + 1]):
-            M, into = joint.M[f], joint.N[f] @ seen
-            Z, B, W = M @ Z, M @ B + into @ S, M @ W
-            W[:, :, 9:] += into[:, :, :p]
-            kick = np.hstack([(M @ kick.reshape(D, n, -1)).reshape(wide, -1), kicks[f]])
+            M = joint.M[f]
+            Z, B, W = M @ Z, M @ B + into[f] @ S, M @ W
+            W[:, :, 9:] += into[f, :, :, :p]
+            kick = np.hstack([(M @ kick.reshape(D, n, -1)).reshape(wide, -1), kick_of[f]])
         C = _both(C, Z, B[:, :, :p], S[:p, :p])
         if node:
             both = np.concatenate([W.reshape(wide, -1), passed])
-            C += both @ truth.noise[node - 1][np.ix_(order, order)] @ both.T
+            C += both @ added[node - 1] @ both.T
         C[:wide, :wide] += kick @ kick.T
         own, by, moved = Z @ own, Z @ by + B @ moved, S @ moved
         if node in asked:
             out.append(Segment(own, by, moved, 0.5 * (C + C.T)))
             C = np.zeros_like(C)
-            own, by, moved = np.tile(np.eye(n), (D, 1, 1)), np.zeros((D, n, q)), np.eye(q)
+            own, by, moved = start
     return out
 
 
 def _square(covariance: Array) -> Array:
-    """The symmetric root (6, 6): the same columns for all designs, whatever their rank."""
+    """The symmetric roots of (f, 6, 6): the same columns for all designs, whatever their rank."""
     values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None] @ vectors.transpose(0, 2, 1))
 
 
 def _both(C: Array, own: Array, seen: Array, states: Array) -> Array:

@@ -366,7 +366,7 @@ def _linear_rows(experiment: Experiment, realizations: int, step: Progress) -> l
         factor = told.rms / stated
         knows = "yes" if 1.0 / MATERIAL <= factor <= MATERIAL else "optimistic" if factor > 1.0 else "pessimistic"
         out.append({
-            "design": name, "states": experiment.ekf(name).layout.n, "error_m": told.mean.value, "low_m": told.mean.low,
+            "design": name, "states": twin.designs[name].size, "error_m": told.mean.value, "low_m": told.mean.low,
             "high_m": told.mean.high, "quantile_95_m": told.quantile_95, "stated_m": stated, "knows": knows, "by": told.by,
             "why": preview.beyond[name].reason if name in preview.beyond else "",
         })  # fmt: skip

@@ -140,11 +140,17 @@ class LinearTwin:
         drive = self.intervals.drive(axes)
         # the rate at a fix is carried on from the last two steps: with a lever arm its error in the velocity is that of both
         before = axes[np.maximum(self.epoch - 1, 1)]
-        found = self.under([start], drive[None], axes[None, self.epoch], before[None], [recording.gnss])
+        found = self.under([start], drive[None], axes[None, self.epoch], before[None], [recording.gnss], list(self.designs))
         return {name: errors[0] for name, errors in found.items()}
 
     def under(
-        self, starts: Sequence[NavState], drive: Array, axes: Array, before: Array, fixes: Sequence[GnssRecord]
+        self,
+        starts: Sequence[NavState],
+        drive: Array,
+        axes: Array,
+        before: Array,
+        fixes: Sequence[GnssRecord],
+        designs: Sequence[str],
     ) -> dict[str, Array]:
         """Navigation errors (realizations, outages, 9) at the ends of the outages under given errors of the sensors.
 
@@ -157,6 +163,7 @@ class LinearTwin:
         axes, before : (realizations, f, 6) arrays
             Errors of the axes in the steps that end at the fixes, and in those before.
         fixes : sequence of GnssRecord
+        designs : sequence of str
         """
         true = trajectory_of(np.zeros(1), self._start.to_array()[None], "start")
         initial = np.concatenate(
@@ -169,10 +176,10 @@ class LinearTwin:
             if one.vel_ned is not None and self._kept.vel_ned is not None:
                 noise[r, :, 3:] = one.vel_ned - self._kept.vel_ned
         out = {}
-        for name, system in self.designs.items():
+        for name in designs:
             moved = noise.copy()
             moved[:, :, 3:] -= np.einsum("fij,rfj->rfi", self._arm[name], 0.5 * (axes - before)[:, :, :3])
-            out[name] = system.respond(initial, drive, axes, moved, self.ends)
+            out[name] = self.designs[name].respond(initial, drive, axes, moved, self.ends)
         return out
 
     @cached_property

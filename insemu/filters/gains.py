@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from insemu.errors import InputError
 from insemu.filters.ekf import LooselyCoupledEKF
 from insemu.filters.joint import ideal_fixes, seen_at_truth
+from insemu.filters.measurements import update
 from insemu.filters.options import InitialSigma
 from insemu.filters.results import FilterResult
 from insemu.filters.twin import Carried, Intervals, transitions
@@ -118,31 +120,49 @@ def gains_along(
     events = ekf.events(record.t, gnss)
     _, H, R = seen_at_truth(ekf, record, nav, events)
     used = np.isfinite(events.z) & np.isfinite(events.var)
-    K = np.zeros((len(H), ekf.layout.n, 6))
-    P, T, identity = ekf.initial_covariance(start[1]), transitions(intervals, belief), np.eye(ekf.layout.n)
+    noise = R + np.where(used, events.var, 0.0)[:, :, None] * np.eye(6)
     against = np.where(np.arange(ekf.layout.n) < 9, -1.0, 1.0)  # errors of the estimates act on navigation with the other sign than states
-    added = belief.noise * np.outer(against, against)
-    fixes_at = intervals.at(events.epoch)
-    starts = np.searchsorted(fixes_at, np.arange(intervals.nodes.size + 1))
-    asked = {int(node): k for k, node in enumerate(intervals.at(rows))}
-    out = np.empty((rows.size, *P.shape))
-    for node in range(intervals.nodes.size):
-        if node:
-            P = T[node - 1] @ P @ T[node - 1].T + added[node - 1]
-        for f in range(starts[node], starts[node + 1]):
-            seen = np.flatnonzero(used[f])
-            if not seen.size:
-                continue
-            h, r = H[f, seen], R[f][np.ix_(seen, seen)] + np.diag(events.var[f, seen])
-            cross = P @ h.T
-            try:
-                gain = np.linalg.solve(h @ cross + r, cross.T).T
-            except np.linalg.LinAlgError:
-                raise InputError("the innovation covariance is not positive definite") from None
-            left = identity - gain @ h
-            P = left @ P @ left.T + gain @ r @ gain.T
-            K[f][:, seen] = gain
-        P = 0.5 * (P + P.T)
-        if node in asked:
-            out[asked[node]] = P
+    K, out = np.zeros((len(H), ekf.layout.n, 6)), np.empty((rows.size, ekf.layout.n, ekf.layout.n))
+    starts = np.searchsorted(intervals.at(events.epoch), np.arange(intervals.nodes.size + 1))
+    bad = _gains(
+        transitions(intervals, belief), belief.noise * np.outer(against, against), starts.astype(np.int64), H, noise, used,
+        intervals.at(rows), ekf.initial_covariance(start[1]), K, out,
+    )  # fmt: skip
+    if bad >= 0:
+        raise InputError(f"the innovation covariance is not positive definite in component {bad}")
     return Gains(events.epoch, H, K, used), out
+
+
+@njit(cache=True, nogil=True)
+def _gains(
+    T: Array, noise: Array, starts: Ints, H: Array, R: Array, used: NDArray[np.bool_], asked: Ints, P: Array, K: Array, out: Array
+) -> int:  # fmt: skip
+    """Move ``P`` (n, n) from node to node: ``K`` (f, n, 6) at the fixes, ``out`` (o, n, n) at the nodes ``asked``; -1, or a bad component."""
+    n = P.shape[0]
+    B, nu, dx, S, free = np.empty((n, n)), np.zeros(6), np.empty(n), np.empty((6, 6)), np.full(7, np.inf)
+    row = 0
+    for node in range(T.shape[0] + 1):
+        if node > 0:
+            F, Q = T[node - 1], noise[node - 1]
+            for i in range(n):
+                for j in range(n):
+                    B[i, j] = 0.0
+                for k in range(n):
+                    if F[i, k] != 0.0:
+                        for j in range(n):
+                            B[i, j] += F[i, k] * P[k, j]
+            for i in range(n):
+                for j in range(i, n):
+                    x = Q[i, j]
+                    for k in range(n):
+                        x += B[i, k] * F[j, k]
+                    P[i, j] = x
+                    P[j, i] = x
+        for f in range(starts[node], starts[node + 1]):
+            _, dof, _ = update(P, nu, H[f], R[f], used[f], free, dx, S, K[f])
+            if dof < 0:
+                return -1 - dof
+        while row < asked.size and asked[row] == node:
+            out[row] = P
+            row += 1
+    return -1
