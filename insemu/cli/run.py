@@ -50,7 +50,9 @@ def command(
         help="Help means and quantiles with so many linear realizations, for example 10000.",
     ),
     out: str = typer.Option(
-        "", "--out", help="Folder for results; default results/NAME beside the current folder, NAME-linear with --linear."
+        "",
+        "--out",
+        help="Folder for results; default results/NAME beside the current folder, NAME-linear with --linear.",
     ),
     cluster: str = typer.Option("", "--cluster", help="Fly on a Dask cluster: local, or tcp://HOST:PORT."),
     gpu: bool = typer.Option(

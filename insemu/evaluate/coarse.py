@@ -3,7 +3,8 @@
 An experiment's designs fly the same motion at a rate of some hertz: the ideal signals are those of the reference at every k-th row, and the errors
 of the axes are the sums of the full record's over k rows. What is nonlinear in the filter (large angles, gains that follow its own estimates, gates)
 stays; only what happens within a step is lost. The errors of a realization are summed (:meth:`CoarseTwin.realization`), or the sums
-are drawn by themselves (:meth:`CoarseTwin.draws`), which have the same distribution; the linear twin takes the same draws (:meth:`CoarseTwin.linear`).
+are drawn by themselves (:meth:`CoarseTwin.draws`), which have the same distribution; the linear twin takes the same draws
+(:meth:`CoarseTwin.linear`).
 
 Source: Giles (2008), Multilevel Monte Carlo path simulation (a coarse path and a fine one under the same draws).
 """
@@ -22,10 +23,10 @@ from insemu import earth
 from insemu.emulate import ideal_imu
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.experiment import Experiment
-from insemu.evaluate.segments import beside, summed
+from insemu.evaluate.segments import beside, even_root, summed
 from insemu.evaluate.twin import LinearTwin
 from insemu.evaluate.world import stream
-from insemu.filters import InitialSigma, LooselyCoupledEKF, root_of
+from insemu.filters import InitialSigma, LooselyCoupledEKF
 from insemu.records import GnssRecord, ImuRecord, Trajectory
 from insemu.strapdown import NavState, trajectory_of
 
@@ -84,9 +85,9 @@ class CoarseTwin:
         self._stated, self._fixes = world.fixes(rng), world.fixes(rng, ideal=True)
         self._filters = {name: _slower(linear.experiment, name, world.rate_hz / self.rows) for name in designs}
         transition, noise = summed(linear.truth, self.rows)
-        self._step = transition, _wide(root_of(noise), len(noise))
+        self._step = transition, even_root(noise)
         behind, noise = summed(linear.truth, len(world.imu) - 1 - int(ends[-1]))
-        self._rest = behind, _wide(root_of(noise), len(noise))
+        self._rest = behind, even_root(noise)
 
     def realization(self, index: int) -> dict[str, Array]:
         """Navigation errors (outages, 9) at the ends of the outages under the draws of one realization of the experiment."""
@@ -154,7 +155,9 @@ class CoarseTwin:
             axes[1 : int(twin.ends[-1]) + 1] = np.repeat(one.sums / width, self.rows, axis=0)
             drive.append(twin.intervals.drive(axes))
             now.append(axes[twin.epoch])
-            before.append(axes[np.maximum(twin.epoch - self.rows, 1)])  # the rate at a fix is carried on from the last two steps
+            before.append(
+                axes[np.maximum(twin.epoch - self.rows, 1)]
+            )  # the rate at a fix is carried on from the last two steps
         starts, fixes = [one.start[0] for one in draws], [one.fixes for one in draws]
         return twin.under(starts, np.stack(drive), np.stack(now), np.stack(before), fixes, designs)
 
@@ -175,9 +178,12 @@ class CoarseTwin:
         steps = len(self._imu) - 1
         behind, tail = self._rest
         place = np.arange(first, first + len(streams)) % max(len(parts.before), 1)
-        xi = [np.stack([rng.standard_normal(shape) for rng in streams]) for shape in (m, m + 6, (steps, m + 6), m + 6, m + 6)]
+        xi = [
+            np.stack([rng.standard_normal(shape) for rng in streams])
+            for shape in (m, m + 6, (steps, m + 6), m + 6, m + 6)
+        ]
         y = np.zeros((len(streams), m + 6))
-        y[:, :m] = xi[0] @ _wide(root_of(parts.first[:m, :m]), m).T
+        y[:, :m] = xi[0] @ even_root(parts.first[:m, :m]).T
         if parts.length:
             y = beside(y, xi[1], place, parts.before, parts.roots[0])
         w = xi[2] @ noise.T
@@ -218,11 +224,6 @@ def _slower(experiment: Experiment, design: str, rate_hz: float) -> LooselyCoupl
     )
 
 
-def _wide(root: Array, columns: int) -> Array:
-    """A root filled up with columns of zeros, so that a run draws as many numbers whatever its rank."""
-    return np.pad(root, ((0, 0), (0, columns - root.shape[1])))
-
-
 def _chain(first: Array, transition: Array, added: Array) -> Array:
     """States (runs, steps + 1, m) that move by one transition, with what is added (runs, steps, m): in blocks side by side, which are then joined."""
     runs, steps, m = added.shape
@@ -242,4 +243,4 @@ def _chain(first: Array, transition: Array, added: Array) -> Array:
         starts[:, k] = at
         at = own[:, k, -1] + at @ powers[-1].T
     own += np.einsum("kij,rbj->rbki", powers, starts, optimize=True)
-    return np.concatenate([first[:, None], own.reshape(runs, -1, m)[:, :steps]], axis=1)
+    return np.concatenate([first[:, None], padded[:, :steps]], axis=1)

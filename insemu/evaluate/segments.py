@@ -1,8 +1,8 @@
 """All designs and the true states from end to end of the outages: one map and one covariance of what noise adds, whatever the rate.
 
-The errors and estimates of all designs and the true states form one linear system, whose noise is Gaussian. Its covariance moves from fix to fix; what lies
-between two ends of outages is then one transition and one draw. Where the mean of a record is taken off the errors of its pieces, sums of the axes' errors
-are carried, and what a constant error does.
+The errors and estimates of all designs and the true states form one linear system, whose noise is Gaussian. Its covariance moves from fix to
+fix; what lies between two ends of outages is then one transition and one draw. Where the mean of a record is taken off the errors of its pieces,
+sums of the axes' errors are carried, and what a constant error does.
 
 Source: Gelb (1974), Applied Optimal Estimation, section 7.1 (the joint covariance); conditioning a Gaussian chain is exact.
 """
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.augment import Augmentation
-from insemu.filters import Carried, Intervals, root_of
+from insemu.filters import Carried, Intervals
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -100,7 +100,7 @@ class Segments:
     @cached_property
     def roots(self) -> tuple[list[Array], list[Array]]:
         """Roots of the covariances of :attr:`before` and :attr:`after`."""
-        before, after = ([root_of(noise) for _, noise in side] for side in (self.before, self.after))
+        before, after = ([even_root(noise) for _, noise in side] for side in (self.before, self.after))
         return before, after
 
     @classmethod
@@ -136,18 +136,16 @@ class Segments:
     def draw(self, realizations: int, rng: np.random.Generator) -> Array:
         """Navigation errors (realizations, D, outages, 9) at the ends of the outages.
 
-        The numbers of a realization follow each other in the stream, so that the size of a batch changes none. Realizations take the pieces of a record
-        by turns.
+        The numbers of a realization follow each other in the stream, so that the size of a batch changes none. Realizations take the pieces of a
+        record by turns.
 
         Parameters
         ----------
         realizations : int
         rng : Generator
         """
-        roots = [root_of(part.noise) for part in self.parts]
-        first = root_of(self.first)
-        sizes = [first.shape[1], *(max((r.shape[1] for r in side), default=0) for side in self.roots)]
-        cut = np.cumsum([0, *sizes, *(r.shape[1] for r in roots)])
+        roots, first, p = [even_root(part.noise) for part in self.parts], even_root(self.first), len(self.first)
+        cut = np.cumsum([0, p, p, p, *(len(r) for r in roots)])
         D, n = self.parts[0].own.shape[:2]
         out = np.empty((realizations, D, self.outage.size, 9))
         most = max(1, BATCH // int(cut[-1]))
@@ -155,10 +153,9 @@ class Segments:
             count = min(most, realizations - start)
             xi = rng.standard_normal((count, int(cut[-1])))
             place = np.arange(start, start + count) % max(len(self.before), 1)
-            s = xi[:, : sizes[0]] @ first.T
+            s = xi[:, :p] @ first.T
             if self.length:
                 s = beside(s, xi[:, cut[1] : cut[2]], place, self.before, self.roots[0])
-            q, p = self.parts[0].states.shape[0], s.shape[1]
             z, errors = np.zeros((D, count, n)), np.empty((len(self.parts), D, count, 9))
             for k, (part, root) in enumerate(zip(self.parts, roots, strict=True)):
                 w = xi[:, cut[3 + k] : cut[4 + k]] @ root.T
@@ -169,7 +166,7 @@ class Segments:
             if self.length:  # the mean of the whole record is taken off its pieces
                 s = beside(s, xi[:, cut[2] : cut[3]], place, self.after, self.roots[1])
                 for k, response in enumerate(self._constants()):
-                    errors[k] -= s[:, q - 12 : q - 6] / self.length @ response.transpose(0, 2, 1)
+                    errors[k] -= s[:, p - 6 :] / self.length @ response.transpose(0, 2, 1)
             out[start : start + count] = errors[self.outage].transpose(2, 1, 0, 3)
         return out
 
@@ -184,7 +181,7 @@ class Segments:
 
     def mean_square(self) -> Array:
         """Mean-square error matrices (outages, D, 9, 9), without a draw; of all pieces of a record together."""
-        D, n, q = self.parts[0].seen.shape
+        D, n = self.parts[0].own.shape[:2]
         wide, p = D * n, len(self.first)
         out = np.zeros((len(self.parts), D, 9, 9))
         of_constant = self._constants() if self.length else []
@@ -238,7 +235,7 @@ def _moved(joint: Joint, aug: Augmentation, truth: Carried, sigma: Array, ends: 
     if r > 9:
         unit = joint.intervals.projected(np.ones((int(joint.intervals.nodes[-1]) + 1, 6)))
         effect[:, :9, q - 6 :] = np.einsum("krap,kap->kra", joint.intervals.gain, unit)
-    kicks = [joint.K[:, d] @ _square(noise) for d, noise in enumerate(joint.noise)]
+    kicks = [joint.K[:, d] @ even_root(noise) for d, noise in enumerate(joint.noise)]
     kick_of = np.concatenate(kicks, axis=1)
     into = joint.N @ seen
     added = truth.noise[:, order][:, :, order]
@@ -274,10 +271,16 @@ def _moved(joint: Joint, aug: Augmentation, truth: Carried, sigma: Array, ends: 
     return out
 
 
-def _square(covariance: Array) -> Array:
-    """The symmetric roots of (f, 6, 6): the same columns for all designs, whatever their rank."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None] @ vectors.transpose(0, 2, 1))
+def even_root(covariance: Array) -> Array:
+    """Roots (..., n, n) of covariances whose correlations have a symmetric root: they change little where the covariance does, and draws with them.
+
+    So scenarios that differ a little are compared under common draws, which roots made of sorted eigenvectors would not give.
+    """
+    scale = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), 0.0))
+    some = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(covariance / (some[..., :, None] * some[..., None, :]))
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    return np.asarray(scale[..., :, None] * root)
 
 
 def _both(C: Array, own: Array, seen: Array, states: Array) -> Array:
@@ -300,18 +303,18 @@ def beside(
     ----------
     s : (realizations, p) array
     xi : (realizations, p) array
-        Standard normal numbers; of a map of smaller rank the first ones count.
+        Standard normal numbers.
     place : (realizations,) array of int
         Piece of each realization.
     maps : sequence of (p, p), (p, p) arrays
         Transition and added covariance of every piece.
-    roots : sequence of (p, rank) arrays
+    roots : sequence of (p, p) arrays
         Of these covariances.
     """
     out = np.empty_like(s)
     for k, ((transition, _), root) in enumerate(zip(maps, roots, strict=True)):
         mine = place == k
-        out[mine] = s[mine] @ transition.T + xi[mine, : root.shape[1]] @ root.T
+        out[mine] = s[mine] @ transition.T + xi[mine] @ root.T
     return out
 
 

@@ -140,7 +140,9 @@ class LinearTwin:
         drive = self.intervals.drive(axes)
         # the rate at a fix is carried on from the last two steps: with a lever arm its error in the velocity is that of both
         before = axes[np.maximum(self.epoch - 1, 1)]
-        found = self.under([start], drive[None], axes[None, self.epoch], before[None], [recording.gnss], list(self.designs))
+        found = self.under(
+            [start], drive[None], axes[None, self.epoch], before[None], [recording.gnss], list(self.designs)
+        )
         return {name: errors[0] for name, errors in found.items()}
 
     def under(
@@ -190,7 +192,9 @@ class LinearTwin:
         steps = len(self._record) - 1
         length = 0 if s.truth.record is None else round(s.truth.record * self.world.rate_hz)
         own = carried(self.intervals, self.truth, sums=length > 0)
-        joint = Joint(self.intervals, self.epoch, self._transition, self._M, self._N, self._K, list(self.noise.values()))
+        joint = Joint(
+            self.intervals, self.epoch, self._transition, self._M, self._N, self._K, list(self.noise.values())
+        )
         return Segments.of(joint, (self.truth, own), s.initial.sigma.to_array(), self.ends, (length, steps))
 
     def draw(self, realizations: int, rng: np.random.Generator) -> dict[str, Array]:

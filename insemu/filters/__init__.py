@@ -35,7 +35,7 @@ from insemu.filters.results import FilterResult, FixTable, Nodes, log_density
 from insemu.filters.smoothed import cross_covariance, smoothed_at
 from insemu.filters.smoother import SmootherResult, smooth
 from insemu.filters.start import start
-from insemu.filters.twin import Carried, Intervals, LinearErrors, carried, driven, root_of, transitions
+from insemu.filters.twin import Carried, Intervals, LinearErrors, carried, driven, transitions
 
 __all__ = [
     "AIDS",
@@ -86,7 +86,6 @@ __all__ = [
     "on_track",
     "register_filter",
     "rests",
-    "root_of",
     "run_filter",
     "sigma_of_fixes",
     "smooth",

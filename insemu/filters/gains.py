@@ -121,7 +121,9 @@ def gains_along(
     _, H, R = seen_at_truth(ekf, record, nav, events)
     used = np.isfinite(events.z) & np.isfinite(events.var)
     noise = R + np.where(used, events.var, 0.0)[:, :, None] * np.eye(6)
-    against = np.where(np.arange(ekf.layout.n) < 9, -1.0, 1.0)  # errors of the estimates act on navigation with the other sign than states
+    against = np.where(
+        np.arange(ekf.layout.n) < 9, -1.0, 1.0
+    )  # errors of the estimates act on navigation with the other sign than states
     K, out = np.zeros((len(H), ekf.layout.n, 6)), np.empty((rows.size, ekf.layout.n, ekf.layout.n))
     starts = np.searchsorted(intervals.at(events.epoch), np.arange(intervals.nodes.size + 1))
     bad = _gains(

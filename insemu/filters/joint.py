@@ -94,7 +94,9 @@ def _fixes(
             z[j] = nav[k, j]
         dt = t[k] - t[k - 1]
         rate, rate_before = gyro[k] / dt, gyro[before] / (t[before] - t[before - 1])
-        fill_fix(now, past, dt, tau[i], rate, rate_before, lever, white, c_of[i], axis, -1, -1, trend, z, nu[i], H[i], R[i])
+        fill_fix(
+            now, past, dt, tau[i], rate, rate_before, lever, white, c_of[i], axis, -1, -1, trend, z, nu[i], H[i], R[i]
+        )
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
-"""A filter's errors to first order from fix to fix: the steps of an interval in one product, the same for every belief and every truth along a reference.
+"""A filter's errors to first order from fix to fix: the steps of an interval in one product, the same for all beliefs and truths of a reference.
 
 With the navigation errors x (estimate minus truth) and the estimates s of the axes' errors e, a step is ``s <- Phi s`` and
 ``x <- F x + B (e - C s)``, a fix ``z <- M z + N e + K n`` with z = (x, s) and the noise n of the fix. Over the rows of an interval
-``x <- F x + sum_k g_k (e_k - C s_k)``. The gains g_k change slowly from row to row: they are kept as coefficients of a few orthonormal polynomials, so that
-what a process does over an interval is a small product of matrices whatever the rate (:func:`carried`).
+``x <- F x + sum_k g_k (e_k - C s_k)``. The gains g_k change slowly from row to row: they are kept as coefficients of a few orthonormal
+polynomials, so that what a process does over an interval is a small product of matrices whatever the rate (:func:`carried`).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from insemu.strapdown import fill_dynamics
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-#: Polynomials of a gain over an interval, at most; longest interval at first, s. What they leave of a gain is orthogonal to them, so that a variance is
-#: off by the square of the share of the norm that may be left.
+#: Polynomials of a gain over an interval, at most; longest interval at first, s. What they leave of a gain is orthogonal to them, so that a
+#: variance is off by the square of the share of the norm that may be left.
 TERMS, LONGEST, LEFT = 8, 1.0, 1e-3
 
 
@@ -105,7 +105,7 @@ class Intervals:
 
     def drive(self, values: Array) -> Array:
         """What errors of the axes (n, 6) at every row do to the navigation errors within the intervals: (k, 9)."""
-        return np.einsum("krap,kap->kr", self.gain, self.projected(values))
+        return np.asarray(np.einsum("krap,kap->kr", self.gain, self.projected(values)))
 
 
 def basis(length: int) -> Array:
@@ -154,11 +154,11 @@ def carried(intervals: Intervals, states: Augmentation, rates: Array | None = No
     driving = root_of(states.Q)
     for length, which in intervals.by_length:
         U = basis(length)
-        gain = np.zeros((which.size, r, 6, TERMS))
-        gain[:, :9] = intervals.gain[which]
+        by_axis = np.zeros((which.size, r, 6, TERMS))
+        by_axis[:, :9] = intervals.gain[which]
         for a in range(6 if sums else 0):
-            gain[:, 9 + a, a] = U.sum(axis=0)
-        gain = gain.reshape(which.size, r, wide)
+            by_axis[:, 9 + a, a] = U.sum(axis=0)
+        gain = by_axis.reshape(which.size, r, wide)
         reach, power = np.zeros((6, TERMS, m)), np.eye(m)
         columns = np.empty((length, wide + m, driving.shape[1]))
         for j in range(length - 1, -1, -1):  # what reaches row j from behind, then what drives it
@@ -268,7 +268,9 @@ class LinearErrors:
         """
         z = np.zeros((len(start), self.size))
         z[:, :9] = start
-        given = axes.transpose(1, 0, 2) @ self.N.transpose(0, 2, 1) + noise.transpose(1, 0, 2) @ self.K.transpose(0, 2, 1)
+        given = axes.transpose(1, 0, 2) @ self.N.transpose(0, 2, 1) + noise.transpose(1, 0, 2) @ self.K.transpose(
+            0, 2, 1
+        )
         asked = {int(node): k for k, node in enumerate(self.intervals.at(rows))}
         out = np.empty((len(start), rows.size, 9))
         for node, fixes in enumerate(self.fixes_at):
