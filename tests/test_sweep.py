@@ -110,7 +110,7 @@ def test_keys_lead_into_the_scenario(file: Path) -> None:
 
 
 def row(design: str, states: int, error: float, knows: str = "yes", spread: float = 0.1) -> Row:
-    return Row(1, {}, design, states, error, error - spread, error + spread, 2 * error, error, knows, "flights")
+    return Row(1, {}, design, states, error, error - spread, error + spread, 2 * error, error, knows, "flights", "")
 
 
 def test_what_to_take_and_the_front() -> None:
@@ -171,8 +171,8 @@ def test_to_first_order_and_in_a_hypercube(file: Path, tmp_path: Path, capsys: p
 def test_a_design_that_is_not_linear_is_flown_at_long_steps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """As in the preview of a single run (tests/test_twin.py)."""
     truth = {
-        "gyro": "WN(N=0.03 deg/s/sqrt(Hz)) + GM(sigma=300 deg/h, Tc=100 s)",
-        "accel": "WN(N=90 ug/sqrt(Hz)) + GM(sigma=40 mg, Tc=4000 s)",
+        "gyro": "WN(N=0.03 deg/s/sqrt(Hz)) + GM(sigma=900 deg/h, Tc=100 s)",
+        "accel": "WN(N=90 ug/sqrt(Hz)) + GM(sigma=120 mg, Tc=4000 s)",
     }
     designs = {"right": SCENARIO["designs"]["right"], "white": {axis: m.split(" +")[0] for axis, m in truth.items()}}
     path, out = tmp_path / "bent.yaml", tmp_path / "bent"
@@ -181,7 +181,11 @@ def test_a_design_that_is_not_linear_is_flown_at_long_steps(tmp_path: Path, caps
     assert run(str(path), "--over", over, "--linear", "200", "--out", str(out), "--json") == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
     assert {r["design"]: r["by"] for r in rows} == {"right": "linear", "white": "coarse"}
-    assert "white, not linear: a quarter as many runs" in (out / "index.html").read_text()
+    assert all(bool(r["why"]) is (r["by"] == "coarse") for r in rows)
+    page = (out / "index.html").read_text()
+    assert "white, not linear: runs at long steps" in page and rows[1]["why"] in page
+    assert run(str(path), "--over", over, "--linear", "200", "--out", str(out)) == 0
+    assert "white is not linear at 2 of 2 points" in capsys.readouterr().out
 
 
 def test_bad_points_are_refused_before_anything_is_flown(

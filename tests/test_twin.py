@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from insemu.errors import InputError
-from insemu.evaluate import Experiment, LinearTwin, analyse_designs, planimetric, previewed
+from insemu.evaluate import Experiment, LinearTwin, analyse_designs, planimetric, previewed, segments
+from insemu.evaluate import coarse as coarse_twin
 from insemu.evaluate.coarse import CoarseTwin
-from insemu.evaluate.control import beyond_linear, controlled
+from insemu.evaluate.control import controlled
+from insemu.filters import Extras, Gains, Intervals, carried, gains_along, on_ideal_data
+from insemu.filters import twin as linear_errors
 from insemu.scenario import load
+from insemu.strapdown import NavState, mechanize_array
 from tests.test_run import SCENARIO, run, write
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
@@ -78,9 +83,22 @@ def test_the_coarse_twin_errs_as_the_filter_does_where_the_linear_one_does_not(t
     linear = LinearTwin(experiment)
     coarse = CoarseTwin(linear, ["white"])
     assert coarse.rows == 10  # 0.2 s at 50 Hz
-    assert list(beyond_linear(linear)) == ["white"]  # and not "full", which knows its errors
-    told = previewed(linear, 400)
-    assert {name: len(errors) for name, errors in told.errors.items()} == {"white": 100, "full": 400}
+    preview = previewed(linear, 400)
+    assert list(preview.beyond) == ["white"]  # and not "full", which knows its errors
+    told = {name: preview.told(name) for name in linear.designs}
+    assert {name: (one.by, one.runs) for name, one in told.items()} == {
+        "white": ("coarse", 50),
+        "full": ("linear", 400),
+    }
+    apart = coarse.draw(400, ["white"], first=50)["white"]  # runs that the preview has not seen
+    spread = planimetric(apart).std(axis=0)
+    for k in range(len(linear.ends)):
+        one = preview.told("white", k)
+        error = np.hypot(spread[k] / 20.0, one.mean.width / 3.92)
+        assert abs(one.mean.value - planimetric(apart[:, k]).mean()) < 4.4 * error
+        assert one.rms == pytest.approx(
+            np.sqrt((planimetric(apart[:, k]) ** 2).mean()), rel=4.4 * np.sqrt(0.5 / 50 + 0.5 / 400)
+        )
     at = np.searchsorted(experiment.world.output_times, experiment.world.imu.t[linear.ends] - 1e-9)
     off = {"linear": 0.0, "coarse": 0.0}
     for r in range(4):
@@ -95,7 +113,7 @@ def test_the_coarse_twin_errs_as_the_filter_does_where_the_linear_one_does_not(t
 def test_coarse_draws_are_distributed_as_linear_ones(tmp_path: Path, record: str | None) -> None:
     linear = LinearTwin(made(tmp_path, truth=SCENARIO["truth"] | {"record": record}))
     n = 200
-    drawn = CoarseTwin(linear, list(linear.designs)).draw(n, np.random.default_rng(8))
+    drawn = CoarseTwin(linear, list(linear.designs)).draw(n, list(linear.designs))
     many = linear.draw(4000, np.random.default_rng(9))
     for name, errors in drawn.items():  # chi-square, 1e-4 over 18 figures of correlated components
         ratio = (errors[..., :6] ** 2).mean(axis=0) / (many[name][..., :6] ** 2).mean(axis=0)
@@ -128,7 +146,12 @@ def test_preview_and_help_on_the_command_line(tmp_path: Path, capsys: pytest.Cap
     assert run(str(path), "--linear", "500", "--out", str(out), "--json") == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["linear"] is True and [r["design"] for r in printed["rows"]] == ["white", "full"]
-    assert not out.exists()
+    assert json.loads((out / "summary.json").read_text()) == printed and printed["not_linear"] == {}
+    assert "Every design is linear" in (out / "index.html").read_text()
+    (out / "complete.json").write_text("{}")
+    assert run(str(path), "--linear", "500", "--out", str(out)) == 2
+    assert "holds the results of flights" in capsys.readouterr().err
+    out = tmp_path / "flown"
     assert run(str(path), "--linear", "500", "--shard", "1/2") == 2
     assert "--shard and --linear exclude each other" in capsys.readouterr().err
     assert run(str(path), "--control", "500", "--out", str(out)) == 0
@@ -141,3 +164,103 @@ def test_what_has_no_twin_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="deterministic effects"):
         effects = [{"effect": "scale_factor", "sensor": "accel", "value": "2000 ppm"}]
         LinearTwin(made(tmp_path, truth=SCENARIO["truth"] | {"effects": effects}))
+
+
+def along(experiment: Experiment, rows: np.ndarray) -> tuple:
+    """Record, reference and intervals of an experiment's flight."""
+    record, start = experiment.world.imu.as_increments(), NavState.of(experiment.world.reference)
+    nav = mechanize_array(record, start, gravity=experiment.world.gravity)
+    return record, nav, start, Intervals.of(record, nav, experiment.world.gravity, rows)
+
+
+@pytest.mark.parametrize("extras", [Extras(), Extras(gyro_scale=1e-3, accel_misalignment=2e-3)])
+def test_gains_and_stated_covariances_are_those_of_the_filters_own_steps(tmp_path: Path, extras: Extras) -> None:
+    # white noise, a slow and a fast process, a random walk
+    own = {
+        "gyro": "WN(N=0.03 deg/s/sqrt(Hz)) + GM(sigma=30 deg/h, Tc=0.05 s) + RW(K=1 deg/h/sqrt(s))",
+        "accel": "WN(N=90 ug/sqrt(Hz)) + GM(sigma=1 mg, Tc=200 s)",
+    }
+    experiment = made(tmp_path, designs={"own": own})
+    fixes = experiment.world.recording(0, ideal=True).gnss
+    plain = type(fixes)(fixes.t, fixes.llh, fixes.vel_ned)
+    ekf = experiment.ekf("own").with_options(extras=extras)
+    ends = np.array([s + d for s, d in experiment.world.outage_windows])
+    rows = np.searchsorted(experiment.world.imu.t, ends - 1e-9)
+    events = ekf.events(experiment.world.imu.t, plain)
+    record, nav, start, intervals = along(experiment, np.concatenate([events.epoch, rows]))
+    sigma = experiment.scenario.initial.sigma
+    _, run = on_ideal_data(ekf, record, nav, plain, start, sigma, record.t[rows])
+    rates = intervals.projected(np.hstack([record.gyro, record.accel]) / record.widths(0.0))
+    found, stated = gains_along(
+        ekf, record, nav, plain, (start, sigma), rows, (intervals, carried(intervals, ekf.augmentation, rates))
+    )
+    expected = Gains.of(run)
+    scale = np.sqrt(np.einsum("oii->oi", run.covariance))
+    assert (
+        np.abs((stated - run.covariance) / (scale[:, :, None] * scale[:, None])).max() < 1e-5
+    )  # LEFT, squared, and rounding
+    size = np.abs(expected.K).max(axis=0)
+    assert np.abs((found.K - expected.K)[:, size > 0] / size[size > 0]).max() < 1e-4
+    np.testing.assert_array_equal(found.used, expected.used)
+
+
+@pytest.mark.parametrize("record", [None, "500 s"])
+def test_mean_squares_without_a_draw(tmp_path: Path, record: str | None) -> None:
+    experiment = made(tmp_path, truth=SCENARIO["truth"] | {"record": record})
+    twin = LinearTwin(experiment)
+    found, drawn = twin.mean_square(), twin.draw(4000, twin.rng)
+    for name, errors in drawn.items():
+        seen = np.einsum("roi,roj->oij", errors, errors) / len(errors)
+        scale = np.sqrt(np.einsum("oii->oi", found[name]))
+        off = np.abs(seen - found[name]) / (scale[:, :, None] * scale[:, None])
+        assert off.max() < 5.0 * np.sqrt(2.0 / 4000)  # of products of Gaussian errors, 81 of them at every end
+    if record is None:  # the covariance analysis moves by the filter's own steps
+        for name, analysis in analyse_designs(experiment).items():
+            at = np.searchsorted(analysis.t, experiment.world.imu.t[twin.ends] - 1e-9)
+            scale = analysis.rms[at]
+            off = np.abs(found[name] - analysis.actual[at]) / (scale[:, :, None] * scale[:, None])
+            assert off.max() < 1e-5
+
+
+def test_draws_are_the_same_in_batches_of_any_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    twin = LinearTwin(made(tmp_path, truth=SCENARIO["truth"] | {"record": "500 s"}))
+    whole = twin.draw(50, twin.rng)
+    monkeypatch.setattr(segments, "BATCH", 2000)
+    for name, errors in twin.draw(50, twin.rng).items():
+        np.testing.assert_allclose(errors, whole[name], rtol=1e-9, atol=1e-9)
+    coarse = CoarseTwin(twin, ["full"])
+    runs = coarse.draw(5, ["full"])["full"]
+    monkeypatch.setattr(coarse_twin, "BATCH", 2)
+    np.testing.assert_allclose(coarse.draw(2, ["full"], first=3)["full"], runs[3:], rtol=1e-7, atol=1e-7)
+
+
+def test_what_errors_do_is_the_same_backward_and_however_the_reference_is_cut(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = made(tmp_path)
+    twin = LinearTwin(experiment)
+    rng = np.random.default_rng(3)
+    axes = rng.standard_normal((len(experiment.world.imu), 6)).cumsum(axis=0) * 1e-6
+    start, noise = rng.standard_normal((1, 9)) * 0.1, rng.standard_normal((1, twin.epoch.size, 6))
+    axes[0] = 0.0
+    drive, at_fixes = twin.intervals.drive(axes)[None], axes[None, twin.epoch]
+    for system in twin.designs.values():
+        forward = system.respond(start, drive, at_fixes, noise, twin.ends)[0]
+        for row, expected in zip(twin.ends, forward, strict=True):
+            gain, of_start, of_fixes = system.adjoint(int(row), np.eye(9))
+            backward = np.einsum("kia,ka->i", gain, axes[: row + 1]) + of_start @ start[0]
+            backward += np.einsum("fia,fa->i", of_fixes, noise[0])
+            np.testing.assert_allclose(backward, expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
+    few = twin.intervals.nodes.size
+    monkeypatch.setattr(linear_errors, "LONGEST", 0.1)  # eight polynomials hold at most eight rows exactly
+    nodes = np.concatenate([twin.epoch, twin.ends])
+    _, _, _, fine = along(experiment, nodes)
+    assert fine.nodes.size > 3 * few
+    at = fine.at(twin.intervals.nodes)
+    for k, (a, b) in enumerate(pairwise(at)):
+        F, moved = np.eye(9), np.zeros(9)
+        for j in range(a, b):
+            F, moved = fine.F[j] @ F, fine.F[j] @ moved + fine.drive(axes)[j] if k < 3 else moved
+        if k < 3:
+            np.testing.assert_allclose(moved, twin.intervals.drive(axes)[k], rtol=1e-5, atol=1e-5 * np.abs(moved).max())
+        np.testing.assert_allclose(F, twin.intervals.F[k], rtol=1e-9, atol=1e-9)

@@ -12,84 +12,71 @@ if TYPE_CHECKING:
 
     from insemu.evaluate import Experiment, Results
 
-#: What a linear realization is, in words.
-SAID = "Linear: errors to first order about the flight, without what depends on the data"
 
-
-def preview(experiment: Experiment, realizations: int, console: Console, *, as_json: bool) -> None:
-    """Fly nothing: errors of many linear realizations at the ends of the outages.
+def preview(experiment: Experiment, realizations: int, folder: Path, console: Console, *, as_json: bool) -> None:
+    """Errors of many linear realizations at the ends of the outages, printed and written: summary.json and a page.
 
     Parameters
     ----------
     experiment : Experiment
     realizations : int
+    folder : path
     console : Console
     as_json : bool
-        Print JSON on standard output instead of a table.
+        Print summary.json on standard output instead of a table.
     """
-    import numpy as np
     import typer
 
-    from insemu.cli.printing import print_table
+    from insemu.cli.printing import print_items, print_table
     from insemu.errors import InputError
-    from insemu.evaluate import LinearTwin, planimetric, previewed
+    from insemu.evaluate import MARKER, LinearTwin, only_writer, previewed
+    from insemu.report import PREVIEWED, preview_notes, preview_rows, render_preview
+    from insemu.whole import put
 
     if not experiment.world.outage_windows:
         raise InputError("the scenario has no outage at whose end errors could be told", where="--linear")
+    if (folder / MARKER).exists():
+        raise InputError("holds the results of flights; expected another folder (--out)", where=str(folder))
     twin = LinearTwin(experiment)
-    told = previewed(twin, realizations)
+    found = previewed(twin, realizations)
     rows: list[dict[str, Any]] = []
-    for name, errors in told.errors.items():
+    for name in twin.designs:
         for k, (start, duration) in enumerate(experiment.world.outage_windows):
-            e = planimetric(errors[:, k])
-            half = 1.96 * float(e.std(ddof=1)) / np.sqrt(e.size)
+            told = found.told(name, k)
             rows.append(
                 {
                     "design": name,
-                    "by": "coarse" if name in told.beyond else "linear",
-                    "realizations": len(e),
+                    "by": told.by,
+                    "realizations": told.runs,
                     "outage": k + 1,
                     "start_s": start,
                     "duration_s": duration,
-                    "mean_m": float(e.mean()),
-                    "ci95_m": [float(e.mean()) - half, float(e.mean()) + half],
-                    "quantile_95_m": float(np.quantile(e, 0.95)),
-                    "rms_m": float(np.sqrt((e**2).mean())),
+                    "mean_m": told.mean.value,
+                    "ci95_m": [told.mean.low, told.mean.high],
+                    "quantile_95_m": told.quantile_95,
+                    "rms_m": told.rms,
                     "stated_m": float(twin.stated[name][k]),
                 }
             )
+    document = {
+        "scenario": experiment.scenario.title,
+        "digest": experiment.digest,
+        "linear": True,
+        "left_out": twin.left_out,
+        "realizations": realizations,
+        "not_linear": {name: beyond.reason for name, beyond in found.beyond.items()},
+        "rows": rows,
+    }
+    with only_writer(folder):
+        put(folder / "summary.json", json.dumps(document, indent=1))
+        page = render_preview(document, str(experiment.file or ""), folder)
     if as_json:
-        document = {
-            "digest": experiment.digest,
-            "linear": True,
-            "left_out": twin.left_out,
-            "realizations": realizations,
-            "beyond_linear": told.beyond,
-        }
-        typer.echo(json.dumps(document | {"rows": rows}, indent=1))
+        typer.echo(json.dumps(document, indent=1))
         return
-    header = ["design", "by", "outage", "mean m", "95 %", "quantile 95 %", "rms m", "stated"]
-    body = [
-        [
-            r["design"] if r["outage"] == 1 else "",
-            r["by"] if r["outage"] == 1 else "",
-            str(r["outage"]),
-            f"{r['mean_m']:.3g}",
-            f"{r['ci95_m'][0]:.3g}-{r['ci95_m'][1]:.3g}",
-            *(f"{r[key]:.3g}" for key in ("quantile_95_m", "rms_m", "stated_m")),
-        ]
-        for r in rows
-    ]
-    print_table(console, f"Planimetric error at outage end, {realizations} linear realizations", header, body)
-    console.print(f"{SAID}{': ' + twin.left_out if twin.left_out else ''}.", soft_wrap=True, style="dim")
-    for name, correlation in told.beyond.items():
-        console.print(
-            f"{name} is not linear: under the same draws its errors correlate with the linear ones to {correlation:.2f} only. Its figures are "
-            f"those of {len(told.errors[name])} runs of the filter at long steps (coarse).",
-            soft_wrap=True,
-            highlight=False,
-            markup=False,
-        )
+    print_table(console, f"{experiment.scenario.title}, {realizations} linear realizations", *preview_rows(rows))
+    console.print(PREVIEWED, style="dim", soft_wrap=True, highlight=False)
+    print_items(console, preview_notes(document))
+    console.print(f"\nPage: {page} (summary.json beside it)", soft_wrap=True, highlight=False)
 
 
 def check_control(experiment: Experiment, *, until: bool) -> None:

@@ -49,7 +49,11 @@ def command(
         max=LINEAR,
         help="Help means and quantiles with so many linear realizations, for example 10000.",
     ),
-    out: str = typer.Option("", "--out", help="Folder for results; default results/NAME beside the current folder."),
+    out: str = typer.Option(
+        "",
+        "--out",
+        help="Folder for results; default results/NAME beside the current folder, NAME-linear with --linear.",
+    ),
     cluster: str = typer.Option("", "--cluster", help="Fly on a Dask cluster: local, or tcp://HOST:PORT."),
     gpu: bool = typer.Option(
         False, "--gpu", help="Fly on this machine's GPU (pip install 'insemu[gpu]'), many realizations at a time."
@@ -110,7 +114,8 @@ def command(
         if control:
             check_control(experiments[""], until=bool(until))
         if linear:
-            preview(experiments[""], linear, Console(), as_json=as_json)
+            target = folder if out else folder.with_name(f"{folder.name}-linear")
+            preview(experiments[""], linear, target, Console(), as_json=as_json)
             return
         if gpu and experiments[""].scenario.smoother:
             raise InputError(

@@ -146,4 +146,13 @@ def _show(console: Any, sweep: Sweep, rows: Sequence[Row], page: Path) -> None:
     header, body = sweep_rows(sweep, rows)
     print_table(console, sweep.scenario.title, header, body, left=len(sweep.given) + 1, fit=True)
     console.print(SWEPT, style="dim", soft_wrap=True, highlight=False)
+    for design in dict.fromkeys(r.design for r in rows if r.why):
+        found = [r for r in rows if r.design == design and r.why]
+        console.print(
+            f"{design} is not linear at {len(found)} of {len(sweep.points)} points, where runs at long steps stand for it. Point {found[0].point}: "
+            f"{found[0].why}.",
+            soft_wrap=True,
+            highlight=False,
+            markup=False,
+        )
     console.print(f"\nPage: {page} (sweep.csv, sweep.json beside it)", soft_wrap=True, highlight=False)

@@ -3,7 +3,8 @@
 An experiment's designs fly the same motion at a rate of some hertz: the ideal signals are those of the reference at every k-th row, and the errors
 of the axes are the sums of the full record's over k rows. What is nonlinear in the filter (large angles, gains that follow its own estimates, gates)
 stays; only what happens within a step is lost. The errors of a realization are summed (:meth:`CoarseTwin.realization`), or the sums
-are drawn by themselves (:meth:`CoarseTwin.draw`), which have the same distribution.
+are drawn by themselves (:meth:`CoarseTwin.draws`), which have the same distribution; the linear twin takes the same draws
+(:meth:`CoarseTwin.linear`).
 
 Source: Giles (2008), Multilevel Monte Carlo path simulation (a coarse path and a fine one under the same draws).
 """
@@ -12,7 +13,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +23,8 @@ from insemu import earth
 from insemu.emulate import ideal_imu
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.experiment import Experiment
-from insemu.evaluate.twin import LinearTwin, root_of, summed
+from insemu.evaluate.segments import beside, even_root, summed
+from insemu.evaluate.twin import LinearTwin
 from insemu.evaluate.world import stream
 from insemu.filters import InitialSigma, LooselyCoupledEKF
 from insemu.records import GnssRecord, ImuRecord, Trajectory
@@ -31,8 +34,25 @@ Array = NDArray[np.float64]
 
 #: Longest step, s. On Table III errors at outage ends correlate with those of flights to 0.9997 or better at 0.2 s, to 0.99 at 0.5 s (8 flights).
 STEP = 0.2
-#: Realizations whose errors are drawn at a time.
-BATCH = 64
+#: Runs whose errors are drawn at a time.
+BATCH = 8
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What one run errs by.
+
+    Parameters
+    ----------
+    sums : (steps, 6) array
+        Errors of the axes summed over the steps, rad and m/s.
+    fixes : GnssRecord
+    start : (NavState, InitialSigma)
+    """
+
+    sums: Array
+    fixes: GnssRecord
+    start: tuple[NavState, InitialSigma]
 
 
 class CoarseTwin:
@@ -61,13 +81,13 @@ class CoarseTwin:
             Trajectory(r.t[at], r.llh[at], r.vel_ned[at], r.rpy[at], r.name), kind="increment", gravity=world.gravity
         ).imu
         self._truth = Trajectory(r.t[ends], r.llh[ends], r.vel_ned[ends], r.rpy[ends], r.name)
-        self._stated, self._fixes = world.fixes(self.rng), world.fixes(self.rng, ideal=True)
+        rng = np.random.default_rng(0)  # only their standard deviations are asked for
+        self._stated, self._fixes = world.fixes(rng), world.fixes(rng, ideal=True)
         self._filters = {name: _slower(linear.experiment, name, world.rate_hz / self.rows) for name in designs}
-
-    @property
-    def rng(self) -> np.random.Generator:
-        """The stream of coarse draws of the scenario's seed."""
-        return stream(self._linear.experiment.scenario.seed, "coarse")
+        transition, noise = summed(linear.truth, self.rows)
+        self._step = transition, even_root(noise)
+        behind, noise = summed(linear.truth, len(world.imu) - 1 - int(ends[-1]))
+        self._rest = behind, even_root(noise)
 
     def realization(self, index: int) -> dict[str, Array]:
         """Navigation errors (outages, 9) at the ends of the outages under the draws of one realization of the experiment."""
@@ -77,25 +97,69 @@ class CoarseTwin:
         assert recording.gnss is not None
         last = int(self._linear.ends[-1])
         sums = errors[1 : last + 1].reshape(-1, self.rows, 6).sum(axis=1)
-        return self._flown(sums, recording.gnss, *self.world.start(index, recording.imu))
+        start = self.world.start(index, recording.imu)
+        return self._flown(sums, recording.gnss, *start, list(self._filters))
 
-    def draw(self, realizations: int, rng: np.random.Generator) -> dict[str, Array]:
-        """Navigation errors (realizations, outages, 9) at the ends of the outages, each realization a draw of its own.
+    def draws(self, first: int, last: int) -> list[Drawn]:
+        """The errors of some runs, each by its own stream of the scenario's seed.
 
         Parameters
         ----------
-        realizations : int
-        rng : Generator
+        first, last : int
+            Numbers of the runs, the last one excluded.
         """
-        out = {name: np.empty((realizations, len(self._truth), 9)) for name in self._filters}
-        for first in range(0, realizations, BATCH):
-            size = min(BATCH, realizations - first)
-            sums = self._sums(size, rng)
-            for k in range(size):
-                found = self._flown(sums[:, :, k], self._drawn(rng), *self.world.moved_start(rng))
-                for name, errors in found.items():
-                    out[name][first + k] = errors
-        return out
+        seed = self._linear.experiment.scenario.seed
+        streams = [stream(seed, "coarse", run) for run in range(first, last)]
+        return [
+            Drawn(sums, self._drawn(rng), self.world.moved_start(rng))
+            for sums, rng in zip(self._sums(streams, first), streams, strict=True)
+        ]
+
+    def flown(self, draws: Sequence[Drawn], designs: Sequence[str]) -> dict[str, Array]:
+        """Navigation errors (runs, outages, 9) at the ends of the outages.
+
+        Parameters
+        ----------
+        draws : sequence of Drawn
+        designs : sequence of str
+        """
+        found = [self._flown(one.sums, one.fixes, *one.start, designs) for one in draws]
+        return {name: np.stack([f[name] for f in found]) for name in designs}
+
+    def draw(self, runs: int, designs: Sequence[str], first: int = 0) -> dict[str, Array]:
+        """Navigation errors (runs, outages, 9) at the ends of the outages, each run with draws of its own.
+
+        Parameters
+        ----------
+        runs : int
+        designs : sequence of str
+        first : int
+            Number of the first run.
+        """
+        ends = [*range(first, first + runs, BATCH), first + runs]
+        parts = [self.flown(self.draws(a, b), designs) for a, b in pairwise(ends)]
+        return {name: np.concatenate([part[name] for part in parts]) for name in designs}
+
+    def linear(self, draws: Sequence[Drawn], designs: Sequence[str]) -> dict[str, Array]:
+        """What the linear twin makes of the same draws, (runs, outages, 9).
+
+        Parameters
+        ----------
+        draws : sequence of Drawn
+        designs : sequence of str
+        """
+        twin, width = self._linear, self.rows / self.world.rate_hz
+        drive, now, before = [], [], []
+        for one in draws:
+            axes = np.zeros((len(self.world.imu), 6))
+            axes[1 : int(twin.ends[-1]) + 1] = np.repeat(one.sums / width, self.rows, axis=0)
+            drive.append(twin.intervals.drive(axes))
+            now.append(axes[twin.epoch])
+            before.append(
+                axes[np.maximum(twin.epoch - self.rows, 1)]
+            )  # the rate at a fix is carried on from the last two steps
+        starts, fixes = [one.start[0] for one in draws], [one.fixes for one in draws]
+        return twin.under(starts, np.stack(drive), np.stack(now), np.stack(before), fixes, designs)
 
     def _drawn(self, rng: np.random.Generator) -> GnssRecord:
         """Fixes with errors of their own, as the emulator makes them."""
@@ -107,35 +171,40 @@ class CoarseTwin:
         moved = ideal.vel_ned + stated.vel_std_ned * rng.standard_normal(stated.vel_std_ned.shape)
         return replace(stated, llh=llh, vel_ned=moved)
 
-    def _sums(self, size: int, rng: np.random.Generator) -> Array:
-        """Errors of the axes summed over the steps, rad and m/s, (steps, 6, realizations)."""
-        truth, dt = self._linear.truth, 1.0 / self.world.rate_hz
-        before, after, length = self._linear.pieces
-        driving = root_of(truth.P0)
-        y = np.zeros((truth.m + 6, size))
-        y[: truth.m] = driving @ rng.standard_normal((driving.shape[1], size))
-        _move(y, before, rng)
-        transition, noise = summed(truth, self.rows)
-        out = np.empty((len(self._imu) - 1, 6, size))
-        total = y[truth.m :].copy()
-        for k in range(len(out)):
-            y = transition[:, : truth.m] @ y[: truth.m] + noise @ rng.standard_normal((noise.shape[1], size))
-            out[k] = y[truth.m :]
-            total += out[k]
-        if length:  # the mean of the whole record is taken off its pieces
-            y[truth.m :] = total
-            for rest in ([summed(truth, len(self.world.imu) - 1 - int(self._linear.ends[-1]))], after):
-                _move(y, rest, rng)
-            out -= self.rows * y[truth.m :] / length
-        return out * dt
+    def _sums(self, streams: Sequence[np.random.Generator], first: int) -> Array:
+        """Errors of the axes summed over the steps, rad and m/s, (runs, steps, 6); runs take the pieces of a record by turns."""
+        parts, m = self._linear.segments, self._linear.truth.m
+        transition, noise = self._step
+        steps = len(self._imu) - 1
+        behind, tail = self._rest
+        place = np.arange(first, first + len(streams)) % max(len(parts.before), 1)
+        xi = [
+            np.stack([rng.standard_normal(shape) for rng in streams])
+            for shape in (m, m + 6, (steps, m + 6), m + 6, m + 6)
+        ]
+        y = np.zeros((len(streams), m + 6))
+        y[:, :m] = xi[0] @ even_root(parts.first[:m, :m]).T
+        if parts.length:
+            y = beside(y, xi[1], place, parts.before, parts.roots[0])
+        w = xi[2] @ noise.T
+        s = _chain(y[:, :m], transition[:m, :m], w[..., :m])
+        out = s[:, :-1] @ transition[m:, :m].T + w[..., m:]
+        if parts.length:  # the mean of the whole record is taken off its pieces
+            y = np.hstack([s[:, -1], y[:, m:] + out.sum(axis=1)])
+            y = y @ behind.T + xi[3] @ tail.T
+            y = beside(y, xi[4], place, parts.after, parts.roots[1])
+            out -= self.rows * y[:, None, m:] / parts.length
+        return out / self.world.rate_hz
 
-    def _flown(self, sums: Array, fixes: GnssRecord, start: NavState, sigma: InitialSigma) -> dict[str, Array]:
-        """Errors of every design with given sums of the axes' errors (steps, 6)."""
+    def _flown(
+        self, sums: Array, fixes: GnssRecord, start: NavState, sigma: InitialSigma, designs: Sequence[str]
+    ) -> dict[str, Array]:
+        """Errors of some designs with given sums of the axes' errors (steps, 6)."""
         errors = np.vstack([sums[:1], sums])
         imu: ImuRecord = replace(self._imu, gyro=self._imu.gyro + errors[:, :3], accel=self._imu.accel + errors[:, 3:])
         out = {}
-        for name, ekf in self._filters.items():
-            run = ekf.run(imu, self._linear.experiment.believed(name, fixes), start, sigma)
+        for name in designs:
+            run = self._filters[name].run(imu, self._linear.experiment.believed(name, fixes), start, sigma)
             at = np.searchsorted(run.t, self._truth.t - 1e-9)
             out[name] = navigation_error(trajectory_of(self._truth.t, run.nav[at], name), self._truth)
         return out
@@ -155,9 +224,23 @@ def _slower(experiment: Experiment, design: str, rate_hz: float) -> LooselyCoupl
     )
 
 
-def _move(y: Array, pieces: Sequence[tuple[Array, Array]], rng: np.random.Generator) -> None:
-    """Take true states and sums (m + 6, realizations) through what lies beside a piece of the record, realizations by turns at each place."""
-    for p, (transition, noise) in enumerate(pieces):
-        mine = slice(p, None, len(pieces))
-        width = y[:, mine].shape[1]
-        y[:, mine] = transition @ y[:, mine] + noise @ rng.standard_normal((noise.shape[1], width))
+def _chain(first: Array, transition: Array, added: Array) -> Array:
+    """States (runs, steps + 1, m) that move by one transition, with what is added (runs, steps, m): in blocks side by side, which are then joined."""
+    runs, steps, m = added.shape
+    size = math.isqrt(steps) + 1
+    blocks = -(-steps // size)
+    padded = np.zeros((runs, blocks * size, m))
+    padded[:, :steps] = added
+    own = padded.reshape(runs, blocks, size, m)
+    powers = np.empty((size, m, m))
+    powers[0] = transition
+    for k in range(1, size):
+        own[:, :, k] += own[:, :, k - 1] @ transition.T
+        powers[k] = transition @ powers[k - 1]
+    starts = np.empty((runs, blocks, m))
+    at = first
+    for k in range(blocks):
+        starts[:, k] = at
+        at = own[:, k, -1] + at @ powers[-1].T
+    own += np.einsum("kij,rbj->rbki", powers, starts, optimize=True)
+    return np.concatenate([first[:, None], padded[:, :steps]], axis=1)

@@ -151,13 +151,14 @@ def analysable(experiment: Experiment, *, removes_means: bool = False) -> tuple[
     able: list[str] = []
     left_out: dict[str, str] = {}
     for name, design in s.designs.items():
-        if not isinstance(ekf := experiment.filter(name), LooselyCoupledEKF):
+        made = experiment.filter(name)
+        if not isinstance(made, LooselyCoupledEKF):
             left_out[name] = "a user's filter"
         elif design.options.prefilter is not None:
             left_out[name] = "a prefilter"
-        elif ekf.augmentation.laws:
+        elif made.augmentation.laws:
             left_out[name] = "levels that follow a covariate"
-        elif ekf.augmentation.thermal:
+        elif made.augmentation.thermal:
             left_out[name] = "states that follow the temperature"
         else:
             able.append(name)

@@ -10,7 +10,7 @@ import numpy as np
 import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
-from insemu.evaluate.coarse import CoarseTwin
+from insemu.evaluate.coarse import BATCH, CoarseTwin
 from insemu.evaluate.results import Results
 from insemu.evaluate.twin import LinearTwin
 
@@ -21,11 +21,14 @@ CORRELATED = 0.9
 #: Coarse runs for a full one. With a fiftieth of its cost and a correlation of 0.999 the least variance for all cost lies at about 160 (Giles 2008,
 #: section 3: the root of rho^2 / (1 - rho^2) times the ratio of the costs); half of that costs little of it and half the time.
 COARSE = 80
-#: Smallest correlation at which linear errors stand for the design's own (they differ by less than 14 % of their spread), and realizations that tell.
-#: Table III with 12: 0.976 where the filter is far too sure of itself (``benchmarks/scale.py twin``), above 0.999 elsewhere.
-LINEAR, CHECKED = 0.99, 12
-#: Linear realizations for one at long steps, in a preview: a quarter as many cost about as much again.
-PREVIEW = 4
+#: Smallest correlation at which linear errors stand for the design's own (they differ by less than 14 % of their spread). Table III: 0.7 where the
+#: filter is far too sure of itself (``benchmarks/twin.py``), above 0.999 elsewhere.
+LINEAR = 0.99
+#: Linear realizations for one run at long steps that tells whether a design is linear, and fewest and most of these runs: what is not linear may
+#: show in one run of twenty.
+CHECK, FEWEST, CHECKED = 16, 12, 48
+#: The same for a design that is not linear: its runs only tell what the linear ones differ by.
+PREVIEW, MOST = 8, 128
 #: Level of the quantile that is reported, and points of the linear distribution and resamples from which it is made.
 LEVEL, POINTS, RESAMPLES = 0.95, 400, 400
 
@@ -107,35 +110,52 @@ def controlled(full: Array, paired: Array, many: Array, by: str = "linear") -> C
     n = full.size
     rng = np.random.default_rng(20140701)
     picks = rng.integers(0, n, (RESAMPLES, n))
-    half = scipy.special.stdtrit(n - 1, 0.975) * full.std(ddof=1) / np.sqrt(n)
-    mean = float(full.mean())
-    plain = Figure(mean, mean - half, mean + half)
+    plain = _plain(full)
     resampled = np.quantile(full[picks], LEVEL, axis=1)
     plain_quantile = _turned(float(np.quantile(full, LEVEL)), resampled)
+    mean, spread, correlation = regressed(full, paired, many)
+    if correlation < CORRELATED:
+        return Controlled(correlation, False, by, plain, plain_quantile, plain, plain_quantile, spread, 1.0)
+    points = np.quantile(many, (np.arange(POINTS) + 0.5) / POINTS)
+    helped = np.array([_helped_quantile(paired[p], full[p], points) for p in picks])
+    error = mean.width / 2.0 / scipy.special.stdtrit(n - 2, 0.975)
+    found = _turned(_helped_quantile(paired, full, points), helped)
+    return Controlled(correlation, True, by, plain, plain_quantile, mean, found, spread, spread**2 / n / error**2)
+
+
+def _plain(full: Array) -> Figure:
+    """The mean of some runs."""
+    half = scipy.special.stdtrit(full.size - 1, 0.975) * full.std(ddof=1) / np.sqrt(full.size)
+    return Figure(float(full.mean()), float(full.mean() - half), float(full.mean() + half))
+
+
+def regressed(full: Array, paired: Array, many: Array) -> tuple[Figure, float, float]:
+    """The mean with the help of cheap runs, the spread of a full run, and the correlation; those of the full runs alone below :data:`CORRELATED`.
+
+    Parameters
+    ----------
+    full, paired, many
+        As of :func:`controlled`.
+    """
+    n = full.size
     correlation = float(np.corrcoef(full, paired)[0, 1]) if n > 2 and paired.std() > 0 and full.std() > 0 else 0.0
     if correlation < CORRELATED:
-        return Controlled(
-            correlation, False, by, plain, plain_quantile, plain, plain_quantile, float(full.std(ddof=1)), 1.0
-        )
+        return _plain(full), float(full.std(ddof=1)), correlation
     slope, offset = _line(paired, full)
     left = full - offset - slope * paired
     scatter = float(left @ left) / (n - 2)
     off = float(many.mean() - paired.mean())
     variance = scatter * (1.0 / n + off**2 / float(((paired - paired.mean()) ** 2).sum()))
     variance += slope**2 * float(many.var(ddof=1)) / many.size
-    centre, half_ = float(offset + slope * many.mean()), scipy.special.stdtrit(n - 2, 0.975) * np.sqrt(variance)
-    points = np.quantile(many, (np.arange(POINTS) + 0.5) / POINTS)
-
-    def quantile(x: Array, y: Array) -> float:
-        b, a = _line(x, y)
-        return float(np.quantile((a + b * points)[:, None] + (y - a - b * x), LEVEL))
-
-    found = quantile(paired, full)
-    helped = np.array([quantile(paired[p], full[p]) for p in picks])
+    centre, half = float(offset + slope * many.mean()), float(scipy.special.stdtrit(n - 2, 0.975) * np.sqrt(variance))
     spread = float(np.sqrt(slope**2 * many.var(ddof=1) + scatter))
-    mean_ = Figure(centre, centre - half_, centre + half_)
-    saved = spread**2 / n / variance
-    return Controlled(correlation, True, by, plain, plain_quantile, mean_, _turned(found, helped), spread, saved)
+    return Figure(centre, centre - half, centre + half), spread, correlation
+
+
+def _helped_quantile(paired: Array, full: Array, points: Array) -> float:
+    """The quantile of the fitted line plus its residuals, over points of the cheap distribution."""
+    slope, offset = _line(paired, full)
+    return float(np.quantile((offset + slope * points)[:, None] + (full - offset - slope * paired), LEVEL))
 
 
 def _line(x: Array, y: Array) -> tuple[float, float]:
@@ -181,31 +201,57 @@ def control(results: Results, twin: LinearTwin, many: Mapping[str, Array]) -> di
         return out
     coarse = CoarseTwin(twin, refused)
     paired = [coarse.realization(r) for r in range(results.realizations)]
-    drawn = coarse.draw(COARSE * results.realizations, coarse.rng)
+    drawn = coarse.draw(COARSE * results.realizations, refused)
     for name in refused:
         out[name] = _cells(results, name, paired, drawn[name], "coarse")
     return out
 
 
-def beyond_linear(twin: LinearTwin) -> dict[str, float]:
-    """Designs whose linear errors are not those of the design itself, with the correlation of both, which is below :data:`LINEAR`.
-
-    The designs fly at long steps (:class:`CoarseTwin`) under the draws of the first :data:`CHECKED` realizations; errors at the ends of all
-    outages count together. Nothing says so of a design that the coarse twin cannot fly either.
+@dataclass(frozen=True)
+class Beyond:
+    """A design whose linear errors are not its own.
 
     Parameters
     ----------
-    twin : LinearTwin
+    correlation : float
+        Of both under the same draws, below :data:`LINEAR`.
+    coarse, linear : (runs, outages, 9) arrays
+        Errors of the design flown at long steps, and of the linear twin under the same draws.
     """
-    coarse = CoarseTwin(twin, list(twin.designs))
-    pairs = [(twin.realization(r), coarse.realization(r)) for r in range(CHECKED)]
-    out = {}
-    for name in twin.designs:
-        one, other = (np.concatenate([planimetric(p[k][name]) for p in pairs]) for k in (0, 1))
-        found = float(np.corrcoef(one, other)[0, 1])
-        if not found >= LINEAR:
-            out[name] = found
-    return out
+
+    correlation: float
+    coarse: Array
+    linear: Array
+
+    @property
+    def reason(self) -> str:
+        """Why it counts as not linear, in words."""
+        rms = [float(np.sqrt((planimetric(e) ** 2).mean())) for e in (self.coarse, self.linear)]
+        return (
+            f"under the same draws errors of {len(self.coarse)} runs of the filter at long steps (rms {rms[0]:.3g} m) correlate with the linear "
+            f"ones (rms {rms[1]:.3g} m) to {self.correlation:.2f} only, expected {LINEAR:g}"
+        )
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a preview says of a design at the end of an outage, or of all outages together, m.
+
+    Parameters
+    ----------
+    mean : Figure
+    quantile_95, rms : float
+    by : str
+        ``linear``; ``coarse``: runs at long steps, helped by linear ones.
+    runs : int
+        How many of these.
+    """
+
+    mean: Figure
+    quantile_95: float
+    rms: float
+    by: str
+    runs: int
 
 
 @dataclass(frozen=True)
@@ -215,29 +261,90 @@ class Preview:
     Parameters
     ----------
     errors : mapping of design to (N, outages, 9) array
-        Navigation errors at the ends of the outages.
-    beyond : mapping of design to float
-        Designs that are not linear, and their correlation (:func:`beyond_linear`): theirs are a quarter as many runs at long steps.
+        Navigation errors at the ends of the outages, to first order.
+    mean_square : mapping of design to (outages,) array
+        Their planimetric mean square, without a draw, m^2.
+    beyond : mapping of design to Beyond
+        Designs that are not linear.
     """
 
     errors: Mapping[str, Array]
-    beyond: Mapping[str, float]
+    mean_square: Mapping[str, Array]
+    beyond: Mapping[str, Beyond]
+
+    def told(self, design: str, outage: int | None = None) -> Told:
+        """The figures of a design at the end of one outage (from 0), or of all: the mean over outages and the quantile of their errors.
+
+        Parameters
+        ----------
+        design : str
+        outage : int, optional
+        """
+        outages = slice(None) if outage is None else slice(outage, outage + 1)
+        many, mean_square = planimetric(self.errors[design][:, outages]), self.mean_square[design][outages]
+        found = self.beyond.get(design)
+        if found is None:
+            values = many.mean(axis=1)
+            half = float(1.96 * values.std(ddof=1) / np.sqrt(values.size))
+            mean = Figure(float(values.mean()), float(values.mean()) - half, float(values.mean()) + half)
+            return Told(mean, float(np.quantile(many, LEVEL)), float(np.sqrt(mean_square.mean())), "linear", len(many))
+        full, paired = planimetric(found.coarse[:, outages]), planimetric(found.linear[:, outages])
+        mean, _, _ = regressed(full.mean(axis=1), paired.mean(axis=1), many.mean(axis=1))
+        each = [regressed(full[:, k], paired[:, k], many[:, k]) for k in range(full.shape[1])]
+        rms = float(np.sqrt(np.mean([m.value**2 + spread**2 for m, spread, _ in each])))
+        points = np.quantile(many, (np.arange(POINTS) + 0.5) / POINTS)
+        helps = np.corrcoef(full.ravel(), paired.ravel())[0, 1] >= CORRELATED
+        quantile = _helped_quantile(paired.ravel(), full.ravel(), points) if helps else float(np.quantile(full, LEVEL))
+        return Told(mean, quantile, rms, "coarse", len(full))
+
+
+def beyond_linear(twin: LinearTwin, realizations: int) -> dict[str, Beyond]:
+    """Designs whose linear errors are not those of the design itself.
+
+    The designs fly at long steps (:class:`CoarseTwin`), and the twin takes the same draws; errors at the ends of all outages count together.
+    Nothing says so of a design that the coarse twin cannot fly either.
+
+    Parameters
+    ----------
+    twin : LinearTwin
+    realizations : int
+        That are drawn: the more, the more runs tell.
+    """
+    coarse = CoarseTwin(twin, list(twin.designs))
+    flown: dict[str, list[Array]] = {name: [] for name in twin.designs}
+    linear: dict[str, list[Array]] = {name: [] for name in twin.designs}
+
+    def fly(first: int, last: int, designs: Sequence[str]) -> None:
+        for start in range(first, last, BATCH):
+            draws = coarse.draws(start, min(start + BATCH, last))
+            one, other = coarse.flown(draws, designs), coarse.linear(draws, designs)
+            for name in designs:
+                flown[name].append(one[name])
+                linear[name].append(other[name])
+
+    def correlation(name: str) -> float:
+        one, other = (planimetric(np.concatenate(parts[name])).ravel() for parts in (flown, linear))
+        return float(np.corrcoef(one, other)[0, 1])
+
+    checked = min(CHECKED, max(FEWEST, realizations // CHECK))
+    fly(0, checked, list(twin.designs))
+    left = [name for name in twin.designs if not correlation(name) >= LINEAR]
+    if left:
+        fly(checked, min(MOST, realizations // PREVIEW), left)
+    return {n: Beyond(correlation(n), np.concatenate(flown[n]), np.concatenate(linear[n])) for n in left}
 
 
 def previewed(twin: LinearTwin, realizations: int) -> Preview:
-    """Draw linear realizations, and filters at long steps where a design is not linear.
+    """Draw linear realizations, and tell of designs that are not linear by how much runs at long steps differ from them.
 
     Parameters
     ----------
     twin : LinearTwin
     realizations : int
     """
-    beyond = beyond_linear(twin)
-    errors = twin.draw(realizations, twin.rng)
-    if beyond:
-        coarse = CoarseTwin(twin, list(beyond))
-        errors |= coarse.draw(max(2, realizations // PREVIEW), coarse.rng)
-    return Preview(errors, beyond)
+    beyond = beyond_linear(twin, realizations)
+    square = {name: e[:, 0, 0] + e[:, 1, 1] for name, e in twin.mean_square().items()}
+    return Preview(twin.draw(realizations, twin.rng), square, beyond)
 
 
 def _cells(

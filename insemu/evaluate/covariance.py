@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from insemu import rotation
 from insemu.augment import Augmentation, Belief, StateLayout, augment, per_axis
 from insemu.errors import InputError
-from insemu.filters import FilterResult, InitialSigma, JointSystem, LooselyCoupledEKF, error_maps, ideal_fixes
+from insemu.filters import Gains, InitialSigma, JointSystem, LooselyCoupledEKF, error_maps, on_ideal_data
 from insemu.noise import shared_processes
 from insemu.records import AXES, GnssRecord, ImuRecord
 from insemu.strapdown import NavState, mechanize_array
@@ -202,7 +202,7 @@ def analyse(
     ekf, run = on_ideal_data(ekf, record, nav, gnss, initial, believed_sigma, times)
     true_aug = augment(truth, ekf.dt)
     joint = beside(ekf.augmentation, true_aug)
-    M, K, noise = updates(ekf, run, record, nav, joint, gnss, true_gnss_sigma)
+    M, K, noise = updates(ekf, Gains.of(run), record, nav, joint, gnss, true_gnss_sigma)
     R = K @ noise @ K.transpose(0, 2, 1)
     system = JointSystem(joint, record, error_maps(record, nav, ekf.gravity), run.fixes.epoch, M, R)
     sigma0 = (true_sigma or believed_sigma).to_array()
@@ -212,38 +212,6 @@ def analyse(
     sources = _sources(truth, true_aug, ekf.augmentation.m)
     budgets = tuple(_budget(system, when, budget_states, ekf.layout, sigma0, sources) for when in budget_at)
     return CovarianceAnalysis(ekf.layout, t[rows], believed, budgets, system, P0)
-
-
-def on_ideal_data(
-    ekf: LooselyCoupledEKF,
-    record: ImuRecord,
-    nav: Array,
-    gnss: GnssRecord,
-    initial: NavState,
-    believed_sigma: InitialSigma,
-    times: Array,
-) -> tuple[LooselyCoupledEKF, FilterResult]:
-    """The filter without what depends on the data, and its run on noise-free data: the gains that it will use, linearised about the truth.
-
-    Parameters
-    ----------
-    ekf : LooselyCoupledEKF
-    record : ImuRecord
-        Ideal increments.
-    nav : (n, 10) array
-        The truth at its rows.
-    gnss : GnssRecord
-        Where and when there are fixes.
-    initial : NavState
-    believed_sigma : InitialSigma
-    times : (o,) array
-        At which covariances are kept, s.
-    """
-    ekf = ekf.with_options(
-        gate=None, standstill=None, store="fixes", node_every=None, output_every=1_000, covariance_every=1,
-        covariance_at=tuple(times),
-    )  # fmt: skip
-    return ekf, ekf.run(record, ideal_fixes(ekf, record, nav, gnss), initial, believed_sigma)
 
 
 def _budget(
@@ -277,7 +245,7 @@ def _budget(
 
 def updates(
     ekf: LooselyCoupledEKF,
-    run: FilterResult,
+    gains: Gains,
     imu: ImuRecord,
     nav: Array,
     joint: Augmentation,
@@ -288,8 +256,9 @@ def updates(
 
     Parameters
     ----------
-    ekf, run : LooselyCoupledEKF, FilterResult
-        Of :func:`on_ideal_data`.
+    ekf : LooselyCoupledEKF
+    gains : Gains
+        Of the filter along the truth.
     imu : ImuRecord
         Ideal increments.
     nav : (n, 10) array
@@ -304,34 +273,29 @@ def updates(
     -------
     M, K, noise : (f, 9 + m, 9 + m), (f, 9 + m, 6), (f, 6, 6) arrays
     """
-    fixes = run.fixes
-    assert fixes.H is not None and fixes.K is not None
-    f, n, mb = len(fixes), 9 + joint.m, ekf.augmentation.m
-    installed = np.flatnonzero(joint.axis < 0)
-    K = np.zeros((f, n, 6))
-    K[:, : 9 + mb] = np.nan_to_num(fixes.K)
-    Hz = np.zeros((f, 6, n))
-    Hz[:, :, :9] = fixes.H[:, :, :9]
+    epoch, n, nb = gains.epoch, 9 + joint.m, ekf.layout.n
+    installed = 9 + np.flatnonzero(joint.axis < 0)
+    K = np.zeros((epoch.size, n, 6))
+    K[:, :nb] = gains.K
+    Hz = np.zeros((epoch.size, 6, n))
+    Hz[:, :, :9], Hz[:, :, installed] = gains.H[:, :, :9], gains.H[:, :, installed]
     events = ekf.events(imu.t, gnss)
     var = events.var.copy()
     if true_sigma is not None:
         var[:, :3] = np.broadcast_to(np.asarray(true_sigma[0], dtype=np.float64), (3,)) ** 2
         var[:, 3:] = np.broadcast_to(np.asarray(true_sigma[1], dtype=np.float64), (3,)) ** 2
-    used = np.asarray(np.isfinite(fixes.innovation), dtype=np.bool_)
-    noise = np.where(used, var, 0.0)[:, :, None] * np.eye(6)
+    noise = np.zeros((epoch.size, 6, 6))
+    noise[:, range(6), range(6)] = np.where(gains.used, var, 0.0)
     l0, l1, l2 = ekf.lever_arm
-    cross = np.array([[0.0, -l2, l1], [l2, 0.0, -l0], [-l1, l0, 0.0]])
-    e, tau = fixes.epoch, events.tau[:, None, None]
-    sensed = np.hstack([part[e] for part in joint.sensed(imu)]) / (imu.t[e] - imu.t[e - 1])[:, None]
-    X = -rotation.dcm_from_quaternion(nav[e, 6:10]) @ cross
-    Hz[:, :, 9 + installed] = fixes.H[:, :, 9 + installed]
+    X = -rotation.dcm_from_quaternion(nav[epoch, 6:10]) @ np.array([[0.0, -l2, l1], [l2, 0.0, -l0], [-l1, l0, 0.0]])
     # rate errors in the velocity of the arm: true minus estimated sensor error, as u in the loop
-    turned = X @ joint.output(sensed)[..., :3, :]
-    Hz[:, 3:, 9:] -= turned
-    Hz[:, :3, 9:] += tau * turned
-    shift = 0.5 - np.minimum(tau / ekf.dt, 1.0)
-    noise[:, 3:, 3:] += ((1 + shift) ** 2 + shift**2) * (X * joint.white[:3]) @ X.transpose(0, 2, 1)
-    Hz *= used[:, :, None]
+    swung = X @ joint.output(np.hstack(joint.sensed(imu))[epoch] / imu.widths(0.0)[epoch])[..., :3, :]
+    Hz[:, 3:, 9:] -= swung
+    Hz[:, :3, 9:] += events.tau[:, None, None] * swung
+    shift = 0.5 - np.minimum(events.tau / ekf.dt, 1.0)
+    spread = ((1 + shift) ** 2 + shift**2)[:, None, None]
+    noise[:, 3:, 3:] += spread * ((X * joint.white[:3]) @ X.transpose(0, 2, 1))
+    Hz *= gains.used[:, :, None]
     return np.eye(n) - K @ Hz, K, noise
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,10 @@ from insemu.effects import EFFECTS, aid_age
 from insemu.emulate import (
     AreaOutage,
     ErrorPieces,
+    IdealImu,
     Outage,
     RecordedErrors,
+    Source,
     TrueStates,
     corrupt,
     covariates_of,
@@ -32,6 +34,7 @@ from insemu.emulate import (
 from insemu.errors import InputError
 from insemu.evaluate.consistency import nees
 from insemu.evaluate.errors import navigation_error
+from insemu.evaluate.held import HELD, key_of
 from insemu.evaluate.world import OUTPUT_INTERVAL, Estimate, Scored, input_files, nearest_rows, static_logs, stream
 from insemu.filters import AidUse, InitialSigma, NavigationFilter, Standstill, TrueMotion
 from insemu.lost import restored
@@ -45,6 +48,14 @@ Array = NDArray[np.float64]
 #: Longest emulated flight, samples (28 h at 100 Hz), and the memory of one: reference, ideal and corrupted signals, filter.
 MAX_SAMPLES = 10_000_000
 BYTES_PER_SAMPLE = 8 * 60
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A motion and its ideal signals, which do not depend on sensors, fixes and designs."""
+
+    source: Source
+    ideal: IdealImu
 
 
 class EmulatedWorld:
@@ -80,6 +91,27 @@ class EmulatedWorld:
             raise InputError("there is nothing to emulate: the scenario has a recording", where=str(file or "scenario"))
         self.source, self.truth = scenario.trajectory, scenario.truth
         source = self.source
+        inputs = [self.files[name] for name in (source.waypoints, source.track, source.motion) if name]
+        #: Says everything that the reference and the ideal signals depend on.
+        self.key = key_of(source.model_dump(mode="json"), inputs)
+        about = source.rate * (source.duration or 0.0)
+        flown = HELD.get(self.key, self._flown, round(about))
+        self.flight, self.track, self.warnings = flown.source.flight, flown.source.track, flown.source.warnings
+        self.reference: Trajectory = flown.ideal.reference
+        self.imu: ImuRecord = flown.ideal.imu
+        self.path_distance_m: float = flown.ideal.path_distance_m
+        self.warnings += self._missed_areas()
+        count = self.pieces.count
+        if count is not None and scenario.realizations > count:
+            raise InputError(
+                f"{scenario.realizations} realizations of {self.duration_s:g} s asked for, but the recorded signals hold "
+                f"{count} non-overlapping pieces of that length",
+                where=f"{self._name}: truth.recorded",
+            )
+
+    def _flown(self) -> Flown:
+        """The motion and its ideal signals."""
+        source = self.source
         loaded = load_flight(
             builtin=source.builtin,
             waypoints=self.files[source.waypoints] if source.waypoints else None,
@@ -90,8 +122,7 @@ class EmulatedWorld:
             max_gap_s=source.max_gap,
             duration_s=source.duration,
         )
-        self.flight, self.track, self.warnings = loaded.flight, loaded.track, loaded.warnings
-        path = self.flight.path
+        path = loaded.flight.path
         length = path.end - path.start if source.duration is None else source.duration
         if length * source.rate > MAX_SAMPLES:
             raise InputError(
@@ -108,17 +139,7 @@ class EmulatedWorld:
             mounting=source.mounting,
             span=None if source.duration is None else (path.start, min(path.end, path.start + length)),
         )
-        self.reference: Trajectory = ideal.reference
-        self.imu: ImuRecord = ideal.imu
-        self.path_distance_m: float = ideal.path_distance_m
-        self.warnings += self._missed_areas()
-        count = self.pieces.count
-        if count is not None and scenario.realizations > count:
-            raise InputError(
-                f"{scenario.realizations} realizations of {self.duration_s:g} s asked for, but the recorded signals hold "
-                f"{count} non-overlapping pieces of that length",
-                where=f"{self._name}: truth.recorded",
-            )
+        return Flown(loaded, ideal)
 
     def __getstate__(self) -> dict[str, Any]:
         """For another process: simulated records are drawn there again, what was read from files travels."""

@@ -22,6 +22,7 @@ from insemu.errors import InputError
 from insemu.evaluate.consistency import block_nees, lag_products, observability, sensor_errors, unaided_sigma
 from insemu.evaluate.dataset import of_designs
 from insemu.evaluate.emulated import EmulatedWorld
+from insemu.evaluate.held import HELD, key_of
 from insemu.evaluate.recorded import RecordedWorld
 from insemu.evaluate.world import Estimate, World, implausible, static_logs, stream
 from insemu.filters import (
@@ -152,7 +153,12 @@ class Experiment:
 
     @cached_property
     def beliefs(self) -> dict[str, Belief]:
-        """What every design believes, models fitted where the scenario says so."""
+        """What every design believes, models fitted where the scenario says so; the same for all scenarios that differ in nothing it depends on."""
+        told = self.scenario.model_dump(mode="json", include={"designs", "truth", "fits", "seed"})
+        key = key_of([told, self.rate_hz], [file for _, file in sorted(self.world.files.items())])
+        return HELD.get(("beliefs", key), self._resolved)
+
+    def _resolved(self) -> dict[str, Belief]:
         done: dict[tuple[str, int], FitResult] = {}  # a log is fitted once per structure and method
         found = {name: self._belief(name, done) for name in self.scenario.designs}
         self.__dict__.pop("fit_logs", None)  # hours of samples that nobody asks for again

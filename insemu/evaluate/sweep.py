@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy  # whose parts are imported when they are used
 
 from insemu import yamlfile
 from insemu.errors import InputError
@@ -199,6 +198,8 @@ class Row:
         ``yes``, ``optimistic`` or ``pessimistic``.
     by : str
         What the errors are of: ``flights``, ``linear`` realizations, or ``coarse`` runs at long steps (a design that is not linear).
+    why : str
+        Why a design is not linear; empty otherwise.
     """
 
     point: int
@@ -212,6 +213,7 @@ class Row:
     stated_m: float
     knows: str
     by: str
+    why: str
 
     def flat(self) -> dict[str, Any]:
         """As a line of a table."""
@@ -345,6 +347,7 @@ def _flown_rows(results: Results) -> list[dict[str, Any]]:
             "stated_m": s.stated_m,
             "knows": s.knows,
             "by": "flights",
+            "why": "",
         }
         for s in standings(results)
     ]
@@ -356,21 +359,16 @@ def _linear_rows(experiment: Experiment, realizations: int, step: Progress) -> l
     step(0, realizations, "linear errors")
     twin = LinearTwin(experiment)
     step(0, realizations, "realizations")
-    out, told = [], previewed(twin, realizations)
-    for name, errors in told.errors.items():
-        ends = np.hypot(errors[..., 0], errors[..., 1])
-        pooled = ends.mean(axis=1)
-        mean, half = (
-            float(pooled.mean()),
-            float(-scipy.special.ndtri(0.025) * pooled.std(ddof=1) / np.sqrt(pooled.size)),
-        )
-        stated = float(np.sqrt((twin.stated[name] ** 2).mean()))
-        factor = float(np.sqrt((ends**2).mean())) / stated
+    out, preview = [], previewed(twin, realizations)
+    for name, stated_at in twin.stated.items():
+        told = preview.told(name)
+        stated = float(np.sqrt((stated_at**2).mean()))
+        factor = told.rms / stated
         knows = "yes" if 1.0 / MATERIAL <= factor <= MATERIAL else "optimistic" if factor > 1.0 else "pessimistic"
         out.append({
-            "design": name, "states": experiment.ekf(name).layout.n, "error_m": mean, "low_m": mean - half, "high_m": mean + half,
-            "quantile_95_m": float(np.quantile(ends, 0.95)), "stated_m": stated, "knows": knows,
-            "by": "coarse" if name in told.beyond else "linear",
+            "design": name, "states": twin.designs[name].size, "error_m": told.mean.value, "low_m": told.mean.low,
+            "high_m": told.mean.high, "quantile_95_m": told.quantile_95, "stated_m": stated, "knows": knows, "by": told.by,
+            "why": preview.beyond[name].reason if name in preview.beyond else "",
         })  # fmt: skip
     return out
 

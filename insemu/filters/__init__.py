@@ -17,8 +17,9 @@ from insemu.filters.alignment import (
 )
 from insemu.filters.ekf import LooselyCoupledEKF, run_filter
 from insemu.filters.events import SAME_TIME
+from insemu.filters.gains import Gains, gains_along, on_ideal_data
 from insemu.filters.gpu import GPU_THREADS, Gpu
-from insemu.filters.joint import JointSystem, error_maps, ideal_fixes
+from insemu.filters.joint import JointSystem, error_maps
 from insemu.filters.likeliest import Innovations, Likeliest, likeliest, uncertainty
 from insemu.filters.measurements import FIX
 from insemu.filters.motion import align_in_motion
@@ -36,7 +37,7 @@ from insemu.filters.results import FilterResult, FixTable, Nodes, log_density
 from insemu.filters.smoothed import cross_covariance, smoothed_at
 from insemu.filters.smoother import SmootherResult, smooth
 from insemu.filters.start import start
-from insemu.filters.twin import LinearErrors, driven, step_matrices
+from insemu.filters.twin import Carried, Intervals, LinearErrors, carried, driven, transitions
 
 __all__ = [
     "AIDS",
@@ -47,14 +48,17 @@ __all__ = [
     "Aid",
     "AidUse",
     "Alignment",
+    "Carried",
     "Extras",
     "FilterOptions",
     "FilterParts",
     "FilterResult",
     "FixTable",
+    "Gains",
     "Gpu",
     "InitialSigma",
     "Innovations",
+    "Intervals",
     "JointSystem",
     "Likeliest",
     "LinearErrors",
@@ -69,16 +73,18 @@ __all__ = [
     "align",
     "align_at_rest",
     "align_in_motion",
+    "carried",
     "check_result",
     "cross_covariance",
     "cut",
     "driven",
     "error_maps",
     "first_track",
-    "ideal_fixes",
+    "gains_along",
     "likeliest",
     "log_density",
     "never_moves",
+    "on_ideal_data",
     "on_reference",
     "on_track",
     "register_filter",
@@ -88,7 +94,7 @@ __all__ = [
     "smooth",
     "smoothed_at",
     "start",
-    "step_matrices",
+    "transitions",
     "uncertainty",
     "user_filter",
     "user_filter_code",

@@ -15,6 +15,7 @@ from insemu import earth
 from insemu.augment import Augmentation
 from insemu.compiled import njit
 from insemu.filters.ekf import LooselyCoupledEKF
+from insemu.filters.events import Events
 from insemu.filters.expanded import FIRST, LD, MAP_SIZE, fill_map, gather, middle, predict, scatter
 from insemu.filters.measurements import fill_fix
 from insemu.filters.packed import pack
@@ -44,21 +45,59 @@ def ideal_fixes(ekf: LooselyCoupledEKF, imu: ImuRecord, nav: Array, gnss: GnssRe
         None where there is no fix.
     """
     events = ekf.events(imu.t, gnss)
-    z = events.z.copy()
-    none, zero = np.zeros(0, dtype=np.int64), np.zeros(3)
-    nu, H, R = np.empty(6), np.empty((6, 9)), np.empty((6, 6))
-    for i, k in enumerate(events.epoch):
-        dt, before = imu.t[k] - imu.t[k - 1], max(k - 1, 1)
-        rates = imu.gyro[k] / dt, imu.gyro[before] / (imu.t[before] - imu.t[before - 1])
-        here = np.concatenate([nav[k, :3], nav[k, 3:6]])
-        fill_fix(
-            np.append(nav[k], zero), np.append(nav[k - 1], zero), dt,
-            events.tau[i], *rates, ekf.lever_arm, np.zeros(6), np.zeros(0), none, -1, -1, np.zeros(12), here, nu, H, R
-        )  # fmt: skip
-        predicted = np.concatenate([earth.move(nav[k, :3], -nu[:3]), nav[k, 3:6] - nu[3:]])
-        z[i] = np.where(np.isfinite(z[i]), predicted, np.nan)
+    nu, _, _ = seen_at_truth(ekf, imu, nav, events)
+    here = nav[events.epoch]
+    predicted = np.hstack([earth.move(here[:, :3], -nu[:, :3]), here[:, 3:6] - nu[:, 3:]])
+    z = np.where(np.isfinite(events.z), predicted, np.nan)
     sd = np.sqrt(events.var)
     return GnssRecord(events.t, z[:, :3], z[:, 3:], sd[:, :3], sd[:, 3:]) if len(events.t) else None
+
+
+def seen_at_truth(ekf: LooselyCoupledEKF, imu: ImuRecord, nav: Array, events: Events) -> tuple[Array, Array, Array]:
+    """What fixes of the position and the velocity of the IMU itself would differ by from those that a filter predicts at the truth.
+
+    Parameters
+    ----------
+    ekf : LooselyCoupledEKF
+    imu : ImuRecord
+        Ideal increments.
+    nav : (n, 10) array
+        The truth at their rows.
+    events : Events
+        Fixes.
+
+    Returns
+    -------
+    nu, H, R : (f, 6), (f, 6, n), (f, 6, 6) arrays
+        Their innovations, Jacobians (of states of the installation zero) and added noise, of the filter's own white noise.
+    """
+    aug, f = ekf.augmentation, events.epoch.size
+    step = imu.widths(0.0)[events.epoch]
+    c_of = np.broadcast_to(aug.coefficients(np.hstack(aug.sensed(imu))[events.epoch] / step), (f, aug.m))
+    nu, H, R = np.zeros((f, 6)), np.zeros((f, 6, 9 + aug.m)), np.zeros((f, 6, 6))
+    _fixes(imu.t, imu.gyro, nav, events.epoch, events.tau, ekf.lever_arm, aug.white, np.array(c_of), aug.axis, nu, H, R)
+    return nu, H, R
+
+
+@njit(cache=True, nogil=True)
+def _fixes(
+    t: Array, gyro: Array, nav: Array, epoch: Ints, tau: Array, lever: Array, white: Array, c_of: Array, axis: Ints, nu: Array, H: Array,
+    R: Array,
+) -> None:  # fmt: skip
+    """``nu``, ``H`` and ``R`` of :func:`seen_at_truth`."""
+    now, past, z, trend = np.zeros(13), np.zeros(13), np.empty(6), np.zeros(12)
+    for i in range(epoch.size):
+        k = epoch[i]
+        before = max(k - 1, 1)
+        for j in range(10):
+            now[j], past[j] = nav[k, j], nav[k - 1, j]
+        for j in range(6):
+            z[j] = nav[k, j]
+        dt = t[k] - t[k - 1]
+        rate, rate_before = gyro[k] / dt, gyro[before] / (t[before] - t[before - 1])
+        fill_fix(
+            now, past, dt, tau[i], rate, rate_before, lever, white, c_of[i], axis, -1, -1, trend, z, nu[i], H[i], R[i]
+        )
 
 
 @dataclass(frozen=True)
@@ -243,6 +282,45 @@ def _forward(
             row += 1
 
 
+@njit(cache=True, nogil=True)
+def apply_transposed(w: Array, half: float, L: Array, old: Array, u: Array) -> None:
+    """The map of :func:`insemu.filters.expanded.apply_map`, transposed: a functional of the errors after a step as one of those before it.
+
+    Parameters
+    ----------
+    w : (46,) array
+        Map of the step.
+    half : float
+        Half the duration of the step, s.
+    L : (9+,) array
+        The functional; its first nine entries are overwritten.
+    old : (9,) array
+        Working space.
+    u : (6,) array
+        Overwritten: what the errors of the axes in this step contribute.
+    """
+    # position, velocity, attitude in reverse
+    pn, pe, pd = L[0], L[1], L[2]
+    vn, ve, vd = L[3] + half * pn, L[4] + half * pe, L[5] + half * pd
+    fz, fy, fx = w[24], w[25], w[26]
+    sn, se, sd = -fz * ve - fy * vd, fz * vn - fx * vd, fy * vn + fx * ve
+    an, ae, ad = L[6] + sn, L[7] + se, L[8] + sd
+    old[0] = w[41] * pn + w[43] * pe + w[35] * vn + w[36] * ve + w[37] * vd + w[6] * an + w[7] * ae + w[8] * ad
+    old[1] = w[44] * pe
+    old[2] = w[42] * pn + w[45] * pe + pd + w[38] * vn + w[39] * ve + w[40] * vd + w[9] * an + w[10] * ae + w[11] * ad
+    old[3] = half * pn + w[27] * vn + w[30] * ve + w[33] * vd + w[12] * ae
+    old[4] = half * pe + w[28] * vn + w[31] * ve + w[34] * vd + w[13] * an + w[14] * ad
+    old[5] = half * pd + w[29] * vn + w[32] * ve + vd
+    old[6] = sn + an + w[2] * ae + w[4] * ad
+    old[7] = se + ae + w[0] * an + w[5] * ad
+    old[8] = sd + ad + w[1] * an + w[3] * ae
+    for j in range(3):
+        u[j] = w[15 + j] * an + w[18 + j] * ae + w[21 + j] * ad
+        u[3 + j] = w[15 + j] * vn + w[18 + j] * ve + w[21 + j] * vd
+    for i in range(9):
+        L[i] = old[i]
+
+
 def _entries(matrix: Array) -> tuple[Ints, Array]:
     """Places (k, 2) and values (k,) of what is not zero, row by row."""
     at = np.ascontiguousarray(np.argwhere(matrix))  # transposed otherwise, for which the loop is compiled once more
@@ -304,30 +382,9 @@ def _backward(
             break
         w = maps[k]
         half = 0.5 * (t[k] - t[k - 1])
-        # the map of expanded.apply_map, transposed: position, velocity, attitude in reverse
-        pn, pe, pd = L[0], L[1], L[2]
-        vn, ve, vd = L[3] + half * pn, L[4] + half * pe, L[5] + half * pd
-        fz, fy, fx = w[24], w[25], w[26]
-        sn, se, sd = -fz * ve - fy * vd, fz * vn - fx * vd, fy * vn + fx * ve
-        an, ae, ad = L[6] + sn, L[7] + se, L[8] + sd
-        old[0] = w[41] * pn + w[43] * pe + w[35] * vn + w[36] * ve + w[37] * vd + w[6] * an + w[7] * ae + w[8] * ad
-        old[1] = w[44] * pe
-        old[2] = (
-            w[42] * pn + w[45] * pe + pd + w[38] * vn + w[39] * ve + w[40] * vd + w[9] * an + w[10] * ae + w[11] * ad
-        )
-        old[3] = half * pn + w[27] * vn + w[30] * ve + w[33] * vd + w[12] * ae
-        old[4] = half * pe + w[28] * vn + w[31] * ve + w[34] * vd + w[13] * an + w[14] * ad
-        old[5] = half * pd + w[29] * vn + w[32] * ve + vd
-        old[6] = sn + an + w[2] * ae + w[4] * ad
-        old[7] = se + ae + w[0] * an + w[5] * ad
-        old[8] = sd + ad + w[1] * an + w[3] * ae
-        for j in range(3):
-            u[j] = w[15 + j] * an + w[18 + j] * ae + w[21 + j] * ad
-            u[3 + j] = w[15 + j] * vn + w[18 + j] * ve + w[21 + j] * vd
+        apply_transposed(w, half, L, old, u)
         for a in range(6):
             axes[a] += u[a] * u[a] * white[a]
-        for i in range(9):
-            L[i] = old[i]
         # augmented states: what they do through the axes in this step, their driving noise, their transition
         for s in range(m):
             if axis[s] >= 0:

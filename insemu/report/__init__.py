@@ -33,6 +33,7 @@ from insemu.report.gap import (
 )
 from insemu.report.plotting import plot
 from insemu.report.predictive import render_check
+from insemu.report.preview import PREVIEWED, preview_notes, preview_rows, render_preview
 from insemu.report.regressors import coefficient_rows, render_regressed
 from insemu.report.serve import server
 from insemu.report.solve import (
@@ -72,6 +73,7 @@ __all__ = [
     "COLUMNS",
     "FIGURES",
     "FIRST_SCREEN",
+    "PREVIEWED",
     "SMOOTHED",
     "SWEPT",
     "array_answer",
@@ -106,6 +108,8 @@ __all__ = [
     "outage_rows_of",
     "plot",
     "pooled_rank_line",
+    "preview_notes",
+    "preview_rows",
     "rank_lines",
     "reason_rows",
     "regression_answer",
@@ -118,6 +122,7 @@ __all__ = [
     "render_fits",
     "render_following",
     "render_gap",
+    "render_preview",
     "render_reckoning",
     "render_regressed",
     "render_regression",

@@ -12,7 +12,7 @@ import numpy as np
 from insemu.evaluate import Row, Sweep, best_of, conditions, front
 from insemu.report.charts import INK, Chart, Line, View
 from insemu.report.experiment_charts import colour
-from insemu.report.page import Block, Card, Folded, Section, Table, render
+from insemu.report.page import Block, Card, Folded, Items, Section, Table, render
 from insemu.report.tables import Table as Cells
 from insemu.units import conversion
 
@@ -248,7 +248,7 @@ def render_sweep(sweep: Sweep, rows: Sequence[Row], folder: str | Path) -> Path:
         f"{sweep.linear} realizations to first order" if sweep.linear else f"{sweep.scenario.realizations} realizations"
     )
     if beyond := sorted({r.design for r in rows if r.by == "coarse"}):
-        way += f" ({', '.join(beyond)}, not linear: a quarter as many runs at long steps)"
+        way += f" ({', '.join(beyond)}, not linear: runs at long steps, helped by the linear ones)"
     sections = []
     if grid:
         sections.append(Section("Which choice for which condition", _heat_maps(sweep, rows)))
@@ -257,6 +257,8 @@ def render_sweep(sweep: Sweep, rows: Sequence[Row], folder: str | Path) -> Path:
         sections.append(Section("What the error depends on", blocks))
     table = Table(*sweep_rows(sweep, rows), SWEPT, left=len(keys) + 1)
     sections.append(Section("Every point", [Folded(f"{len(rows)} rows", [table])]))
+    if why := [f"{r.design} at point {r.point}: {r.why}." for r in rows if r.why]:
+        sections.append(Section("Designs that are not linear", [Folded(f"{len(why)} rows", [Items(why)])]))
     return render(
         f"Sweep: {sweep.scenario.title}",
         sections,
