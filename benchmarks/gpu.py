@@ -18,7 +18,7 @@ from insemu.evaluate import Experiment, LinearTwin, run_experiment
 from insemu.filters import GPU_THREADS, Gpu, gpu
 from insemu.scenario import load
 
-SCENARIO = Path(__file__).parents[1] / "scenarios" / "table3_synthetic.yaml"
+SCENARIO = Path(__file__).parents[1] / "scenarios" / "table3_reading_b.yaml"
 #: Flights side by side, for the time that the GPU takes alone.
 SIDE_BY_SIDE = (1, 64, 512, 1024)
 #: Realizations whose numbers are compared.

@@ -46,7 +46,7 @@ from insemu.evaluate.control import control
 from insemu.evaluate.running import FULL
 from insemu.scenario import load
 
-SCENARIO = Path(__file__).parents[1] / "scenarios" / "table3_synthetic.yaml"
+SCENARIO = Path(__file__).parents[1] / "scenarios" / "table3_reading_b.yaml"
 LINEAR = 10_000
 #: Rounds in which one process, a cluster of one and of two take turns (a ratio of one round is uncertain by 0.1 to 0.2 on a shared machine); turns
 #: of two ways that tell what a cluster costs.

@@ -121,6 +121,9 @@ class Extras:
         Age of a fix at its stamp, s.
     reference_temperature : float
         Temperature at which the states per kelvin change nothing, degC.
+    stationary_start : float
+        Factor on the standard deviations with which the states of stationary processes of the axes begin: 1 as a sensor that has run for long, 0 as
+        if they were known to be zero, which makes a filter learn them slowly.
     """
 
     gyro_scale: float = 0.0
@@ -132,6 +135,7 @@ class Extras:
     gyro_scale_temperature: float = 0.0
     accel_scale_temperature: float = 0.0
     reference_temperature: float = 25.0
+    stationary_start: float = 1.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -355,13 +359,14 @@ def _begins_anywhere(process: Process) -> bool:
     return not process.stationary and float(block.c @ block.P0 @ block.c) > 0.0
 
 
-def _blocks(model: NoiseModel, dt: float) -> list[StateBlock]:
+def _blocks(model: NoiseModel, dt: float, stationary_start: float) -> list[StateBlock]:
     """State blocks of a model's processes, autoregressions of higher order in coordinates that keep their digits."""
     blocks = []
     for index, process in model.indexed():
         b = process.carried(dt)
         names = tuple(name.replace(process.symbol, f"{process.symbol}{index}", 1) for name in b.names)
-        blocks.append(StateBlock(names, b.Phi, b.Q, b.c, b.P0, b.white, dt))
+        P0 = b.P0 * stationary_start**2 if process.stationary else b.P0
+        blocks.append(StateBlock(names, b.Phi, b.Q, b.c, P0, b.white, dt))
     return blocks
 
 
@@ -491,7 +496,7 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
     for a, (axis, model) in enumerate(models.items()):
         start = len(names)
         try:
-            own = _blocks(model, dt)
+            own = _blocks(model, dt, extras.stationary_start)
             block = StateBlock.stack(own, dt)
         except InputError as error:
             raise type(error)(str(error), where=f"belief of {axis}") from None

@@ -297,3 +297,17 @@ def test_levels_that_follow_a_covariate_are_told_apart():
 def test_true_states_of_a_process_without_a_rate_are_at_the_interval():
     values = np.array([[1.0, 0.4, -0.3]])
     np.testing.assert_array_equal(true_states(NoiseModel((AR1(0.5, 1.0),)), values, 0.01), values)
+
+
+def test_stationary_processes_may_begin_known_and_constants_stay_unknown() -> None:
+    belief = {
+        "gyro": GM(sigma=2.0, beta=0.1) + RC(sigma=3.0) + RW(K=1.0, sigma0=0.5),
+        "accel": WN(N=1.0) + GM(sigma=1.0, beta=3.0),
+    }
+    whole, half = (augment(belief, DT, Extras(stationary_start=x)) for x in (1.0, 0.5))
+    stationary = np.array([".GM" in n for n in whole.layout.names[9:]])
+    assert half.P0[~stationary] == pytest.approx(whole.P0[~stationary])
+    assert np.diag(half.P0)[stationary] == pytest.approx(0.25 * np.diag(whole.P0)[stationary])
+    assert whole.P0[0, 0] == pytest.approx(4.0)
+    assert (half.Phi == whole.Phi).all() and (half.Q == whole.Q).all()
+    assert not np.diag(augment(belief, DT, Extras(stationary_start=0.0)).P0)[stationary].any()

@@ -397,6 +397,19 @@ def test_effects_of_sensor_time_and_place_fly(tmp_path: Path) -> None:
     assert r.digest != p.digest
 
 
+def test_a_later_begin_keeps_flight_and_clock(tmp_path: Path) -> None:
+    whole = Experiment(load(write(tmp_path))).world
+    later = Experiment(
+        load(write_named(tmp_path, "t.yaml", trajectory=SCENARIO["trajectory"] | {"begin": "30 s"}))
+    ).world
+    assert later.reference.t[0] == pytest.approx(30.0) and later.reference.t[-1] == pytest.approx(whole.reference.t[-1])
+    assert later.outage_windows == whole.outage_windows == [(80.0, 20.0)]
+    rows = len(whole.reference) - len(later.reference)
+    assert later.reference.llh[-1] == pytest.approx(whole.reference.llh[-1], abs=1e-4, rel=1e-9)
+    assert later.imu.gyro[10:] == pytest.approx(whole.imu.gyro[rows + 10 :], abs=1e-9)
+    assert later.start(0, later.imu)[0].vel_ned == pytest.approx(later.reference.vel_ned[0], abs=0.5)
+
+
 @pytest.mark.parametrize(
     ("changes", "log", "message"),
     [
@@ -404,6 +417,19 @@ def test_effects_of_sensor_time_and_place_fly(tmp_path: Path) -> None:
             {"gnss": {"outages": [{"start": "110 s", "duration": "20 s"}]}},
             {},
             "outage 1 ends at 130 s, but the trajectory ends at 120 s",
+        ),
+        (
+            {
+                "trajectory": SCENARIO["trajectory"] | {"begin": "61 s"},
+                "gnss": {"outages": [{"start": "1 min", "duration": "20 s"}]},
+            },
+            {},
+            "outage 1 begins at 60 s, but filters begin at 61 s",
+        ),
+        (
+            {"trajectory": SCENARIO["trajectory"] | {"begin": "3 min"}},
+            {},
+            "filters begin at 180 s, but the trajectory ends at 120 s",
         ),
         ({"gnss": {"outages": [{"strat": "110 s", "duration": "20 s"}]}}, {}, "did you mean 'start'"),
         ({"truth": SCENARIO["truth"] | {"gyro": "WN(N=-1 deg/sqrt(h))"}}, {}, "not negative"),

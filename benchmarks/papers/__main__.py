@@ -19,7 +19,7 @@ from pathlib import Path
 
 import yaml
 
-from benchmarks.papers import em2011, gmwm2014, mems2013, ml2016, platform2016, runs
+from benchmarks.papers import em2011, gmwm2014, hidden, mems2013, ml2016, platform2016, runs
 from benchmarks.papers import exhibit as exhibits
 from benchmarks.papers.exhibit import EXHIBITS, PAPERS, Content, Exhibit, Task
 from benchmarks.papers.words import Claim, claims
@@ -72,7 +72,7 @@ def make(item: tuple[Exhibit, Task]) -> Made:
 
 def state(exhibit: Exhibit, task: Task) -> str:
     """Key of a finished exhibit: what it is, and everything that it was made from."""
-    source = inspect.getsource(MODULES[exhibit.paper]) + inspect.getsource(exhibits)
+    source = "".join(inspect.getsource(module) for module in (MODULES[exhibit.paper], exhibits, hidden, runs))
     text = f"{source}{task.printed}{task.seed}{task.full}"
     return f"{exhibit.key} {hashlib.sha256(text.encode()).hexdigest()[:12]}"
 
@@ -90,7 +90,10 @@ def lines(exhibit: Exhibit, content: Content) -> list[str]:
     for c in content.cells:
         ours = f"ours {number(c.ours)} [{number(c.low)}, {number(c.high)}] {c.unit}".rstrip()
         out.append(f"    {'' if c.agrees else '! '}{c.what}: printed {number(c.printed)}, {ours}")
-    return out + [f"    {'' if s.holds else '! '}{s.text}: {s.measured}" for s in content.statements]
+    out += [f"    {'' if s.holds else '! '}{s.text}: {s.measured}" for s in content.statements]
+    for g in content.grids:
+        out += [f"  {g.caption}", *(f"    {row[0]}: {', '.join(filter(None, row[1:]))}" for row in g.rows)]
+    return out
 
 
 def section(exhibit: Exhibit, content: Content) -> page.Section:
@@ -114,6 +117,7 @@ def section(exhibit: Exhibit, content: Content) -> page.Section:
         agree = sum(c.agrees for c in content.cells)
         caption = f"{agree} of {len(rows)} cells agree. Interval: {content.interval}."
         blocks.append(page.Table(["", "printed", "ours", "interval", "unit", ""], rows, caption))
+    blocks += [page.Table(g.header, g.rows, g.caption) for g in content.grids]
     return page.Section(f"{exhibit.label}: {exhibit.title}", blocks)
 
 

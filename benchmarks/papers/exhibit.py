@@ -65,6 +65,15 @@ class Statement:
 
 
 @dataclass(frozen=True)
+class Grid:
+    """A table beside: what it is about, its header and its rows."""
+
+    caption: str
+    header: list[str]
+    rows: list[list[str]]
+
+
+@dataclass(frozen=True)
 class Content:
     """What an exhibit shows; ``because`` says why cells do not agree, where they do not."""
 
@@ -72,6 +81,7 @@ class Content:
     statements: list[Statement] = field(default_factory=list)
     because: str = ""
     interval: str = ""
+    grids: list[Grid] = field(default_factory=list)
 
     @property
     def verdict(self) -> str:
@@ -93,7 +103,7 @@ class Content:
     @classmethod
     def decode(cls, data: dict[str, Any]) -> Content:
         cells, said = [Cell(**c) for c in data["cells"]], [Statement(**s) for s in data["statements"]]
-        return cls(cells, said, data["because"], data["interval"])
+        return cls(cells, said, data["because"], data["interval"], [Grid(**g) for g in data["grids"]])
 
 
 @dataclass(frozen=True)

@@ -123,7 +123,14 @@ class EmulatedWorld:
             duration_s=source.duration,
         )
         path = loaded.flight.path
-        length = path.end - path.start if source.duration is None else source.duration
+        begin = path.start + source.begin
+        end = path.end if source.duration is None else min(path.end, path.start + source.duration)
+        if end <= begin:
+            raise InputError(
+                f"filters begin at {source.begin:g} s, but the trajectory ends at {end - path.start:g} s",
+                where=f"{self._name}: trajectory.begin",
+            )
+        length = end - begin
         if length * source.rate > MAX_SAMPLES:
             raise InputError(
                 f"{length:g} s at {source.rate:g} Hz are {length * source.rate:.3g} samples, expected at most {MAX_SAMPLES:g}: they would take "
@@ -137,7 +144,7 @@ class EmulatedWorld:
             kind=source.kind,
             gravity=source.gravity,
             mounting=source.mounting,
-            span=None if source.duration is None else (path.start, min(path.end, path.start + length)),
+            span=None if source.duration is None and not source.begin else (begin, end),
         )
         return Flown(loaded, ideal)
 
@@ -161,14 +168,20 @@ class EmulatedWorld:
     def outages(self) -> list[Outage | AreaOutage]:
         """When and where there is no GNSS, the same in every realization."""
         gnss = self.scenario.gnss
-        start, end = float(self.reference.t[0]), float(self.reference.t[-1])
+        start, end, zero = float(self.reference.t[0]), float(self.reference.t[-1]), self.flight.path.start
         for k, given in enumerate(gnss.outages):
-            if given.end_s > end - start + 1e-9:
+            where = f"{self._name}: gnss.outages.{k}"
+            if given.end_s > end - zero + 1e-9:
                 raise InputError(
-                    f"outage {k + 1} ends at {given.end_s:g} s, but the trajectory ends at {end - start:g} s",
-                    where=f"{self._name}: gnss.outages.{k}",
+                    f"outage {k + 1} ends at {given.end_s:g} s, but the trajectory ends at {end - zero:g} s",
+                    where=where,
                 )
-        out: list[Outage | AreaOutage] = [Outage(start + o.start_s, o.duration_s) for o in gnss.outages]
+            if given.start_s < start - zero - 1e-9:
+                raise InputError(
+                    f"outage {k + 1} begins at {given.start_s:g} s, but filters begin at {start - zero:g} s",
+                    where=where,
+                )
+        out: list[Outage | AreaOutage] = [Outage(zero + o.start_s, o.duration_s) for o in gnss.outages]
         out += gnss.areas
         if gnss.random_outages is not None:
             drawn = gnss.random_outages

@@ -76,6 +76,12 @@ class StateKeys(Section):
         default=0.0, ge=0, le=LARGEST, description="each component of the way from IMU to antenna"
     )
     latency: Seconds = Field(default=0.0, ge=0, le=LARGEST, description="time by which the fixes come late")
+    stationary_start: float = Field(
+        default=1.0,
+        ge=0,
+        le=LARGEST,
+        description="factor on the standard deviations with which stationary processes of the axes begin; 0: known to be zero, learnt slowly",
+    )
 
 
 class AxisSource(Section):

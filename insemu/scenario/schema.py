@@ -103,6 +103,12 @@ class TrajectorySource(Section):
         default=None, description="where and how the IMU sits in the vehicle"
     )
     rate: Hertz = Field(default=100.0, gt=0, le=MAX_RATE, description="IMU rate")
+    begin: Seconds = Field(
+        default=0.0,
+        ge=0,
+        le=MAX_DURATION,
+        description="filters and records begin so long after the start of the trajectory, whose clock the outages keep",
+    )
     duration: Seconds | None = Field(
         default=None,
         gt=0,
