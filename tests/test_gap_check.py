@@ -105,6 +105,7 @@ def test_a_right_model_holds_the_recording_and_a_wrong_one_does_not(drive: Stage
     assert json.dumps(again.to_json()) == json.dumps(right.to_json())
 
 
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_known_outliers_are_left_out_of_what_is_emulated_too(drive: Stage) -> None:
     """Emulated filters followed them while the measured one did not: an rms of 1.2 stood outside a band of 2.7 to 3.4."""
     # the fix at which the drive would start is one of them, 71 m off

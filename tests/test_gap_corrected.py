@@ -95,6 +95,7 @@ def test_an_effect_of_two_shapes_is_taken_off_once(tau: float) -> None:
     np.testing.assert_allclose(second.full_y, first.full_y, atol=0.1)
 
 
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_an_outlier_at_the_edge_of_a_step_does_not_take_its_place() -> None:
     """Positions told outliers where a step may end are put back; one of 17 m was then the best step of all (foreign two, seed 801045)."""
     step = use(effect="gnss_multipath_step", value=[0.5, 0.0, 0.0], start=121.4, duration=60.0)

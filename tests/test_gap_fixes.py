@@ -513,6 +513,7 @@ def test_a_step_behind_a_colour_is_found_at_its_edges() -> None:
     assert none.nats < rules().least_nats
 
 
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_edges_three_fixes_apart_are_not_missed() -> None:
     """A step of 76 nats of another simulator, which the filter followed within two fixes, was two steps of 39 and 25 nats, unexplained."""
     logger = sensors.Logger(imu_hz=50)

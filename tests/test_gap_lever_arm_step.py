@@ -110,6 +110,7 @@ def test_its_size_is_estimated_with_all_other_numbers(train) -> None:
     assert start == found.parameters[1]
 
 
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_a_change_that_the_filter_follows_within_a_fix_is_found_at_that_fix() -> None:
     """At evenly spaced times it was found a minute off: a second beside it, it is worth 97 of its 146 nats."""
     world, (hidden,), _ = drawn(judge.Job("rarer", 6042, 360.0, True))

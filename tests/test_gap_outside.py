@@ -21,6 +21,7 @@ def test_two_effects_that_a_product_of_inputs_stands_for_are_named() -> None:
         assert any(effect in members for members in classes)
 
 
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_what_is_outside_is_not_lost_behind_what_follows() -> None:
     """An error outside the catalogue that several effects follow a part of."""
     measured, nominal = taken(*drawn(Job("outside", 840003, 360.0, True, False, False))[:2])

@@ -219,6 +219,7 @@ def test_velocities_are_steadied_on_an_arm_that_is_not_taken_out_of_the_data() -
     assert (again.original.raised[3:5] > scene.original.raised[3:5]).all()
 
 
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_an_arm_that_nobody_knows_does_not_decide_how_velocities_are_compared() -> None:
     """20 mm more than believed hid what the filter misses on 1.3 m of known arm, and was told too small."""
     job = Job("none", 52000, 360.0, True, vehicles=("quadrotor",))
@@ -306,6 +307,7 @@ def test_what_a_vibration_rectifies_is_within_what_is_left_open(frequency: float
     assert scales[n // 2, 0] < scales[n // 2, 1]
 
 
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_a_shaken_vehicle_whose_vibration_rectifies_lacks_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """A walker of another simulator, shaken six times as much as was drawn: sculling in bursts, which is no process of the accelerometers."""
     world = sensors.draw_world(9052, 240.0, True, calm=6.0)
@@ -360,6 +362,7 @@ def test_a_quadrotor_at_50_hz_lacks_nothing(seed: int, leaves: bool) -> None:
     assert any(report.unresolved) == ("faster than the samples" in shaking_said(report)) == leaves
 
 
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_white_noise_of_shaking_hides_no_random_walk() -> None:
     world = sensors.draw_world(530038, 360.0, True, logger=AT_50_HZ)
     walk = sensors.Hidden("random_walk", "accel", "z", {"K": 1.5e-3})

@@ -66,6 +66,7 @@ def test_an_axis_has_one_thermal_bias_where_it_lags(scene) -> None:
     }
 
 
+@pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_coefficient_and_lag_are_named_and_close_the_gap(flight) -> None:
     measured, nominal, hidden = flight
     report = find_gap(measured, nominal, rng=np.random.default_rng(1), hold_out=False, pictures=False)
