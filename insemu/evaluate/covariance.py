@@ -234,7 +234,10 @@ def on_ideal_data(
         gate=None, standstill=None, store="fixes", node_every=None, output_every=1_000, covariance_every=1,
         covariance_at=tuple(times),
     )  # fmt: skip
-    return ekf, ekf.run(record, ideal_fixes(ekf, record, nav, gnss), initial, believed_sigma)
+    (run,) = ekf.run_many([record], [ideal_fixes(ekf, record, nav, gnss)], [initial], believed_sigma)
+    if isinstance(run, InputError):
+        raise run
+    return ekf, run
 
 
 def _budget(
