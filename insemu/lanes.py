@@ -227,7 +227,13 @@ def _bits(context: Any, test: Any) -> Any:
 
 
 def where(test: Any, a: Any, b: Any) -> Any:
-    """``a`` where a test holds, else ``b``; in compiled code."""
+    """``a`` where a test holds, else ``b``; in compiled code.
+
+    Parameters
+    ----------
+    test : bool or eight of them
+    a, b : float or lanes
+    """
 
 
 @overload(where, strict=False)

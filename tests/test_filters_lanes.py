@@ -12,7 +12,7 @@ from insemu.errors import InputError
 from insemu.filters import FilterOptions, LooselyCoupledEKF, Standstill
 from insemu.filters.aids import AIDS
 from insemu.noise import AR, GM, MA, QN, RW, WN, Follows
-from insemu.records import AidRecord
+from insemu.records import AidRecord, GnssRecord
 from insemu.strapdown import navigation_errors
 from tests import filter_cases as cases
 from tests.test_filters import LEVER
@@ -195,6 +195,32 @@ def test_grouping_changes_no_bit_and_failures_stay_in_their_lane(road):
         assert relative(out[k], ekf.run(wrong[k], apart[k], starts[k], cases.START_SIGMA)) < bound
     for k in (3, 4, 6, 7, 8, 9):
         same(out[k], whole[k])
+
+
+@pytest.mark.parametrize("model", [cases.MODEL_27, ROUGH], ids=["27", "rough"])
+def test_fixes_of_other_times_fly_side_by_side(road, model):
+    """Every realization has an outage of its own, and rejected fixes: a fix in another lane changes no bit."""
+    imus, gnsses, starts = flights(road, model, 5)
+    gnsses = [replace(g, t=g.t - 0.001 * (k % 2)) for k, g in enumerate(gnsses)]
+    gnsses = [
+        GnssRecord(*(getattr(g, name)[keep] for name in ("t", "llh", "vel_ned", "pos_std_ned", "vel_std_ned")))
+        for k, g in enumerate(gnsses)
+        for keep in [~((g.t > 3.5 + k) & (g.t < 7.2 + 2 * k))]
+    ]
+    rng = np.random.default_rng(5)
+    aids = [aids_of(road, rng) for _ in imus]
+    ekf = LooselyCoupledEKF(model, cases.DT, options=FilterOptions(gate=0.2))
+    together = ekf.run_many(imus, gnsses, starts, cases.START_SIGMA, aids=aids)
+    for k, (many, *given) in enumerate(zip(together, imus, gnsses, starts, aids, strict=True)):
+        (alone,) = ekf.run_many(*([v] for v in given[:3]), cases.START_SIGMA, aids=[given[3]])
+        for name in ("nav", "sigma", "imu_states", "final_covariance"):
+            np.testing.assert_array_equal(getattr(many, name), getattr(alone, name))
+        assert len(many.fixes) == len(alone.fixes) and 3 <= np.count_nonzero(many.fixes.kind == 0) < 19
+        for name in ("t", "epoch", "kind", "nis", "S", "dof"):
+            np.testing.assert_array_equal(getattr(many.fixes, name), getattr(alone.fixes, name))
+        assert k != 1 or len(many.fixes.rejected)
+        # the mounting of the odometer contradicts the fixes: corrections of many standard deviations
+        assert relative(many, ekf.run(*given[:3], cases.START_SIGMA, aids=given[3])) < 1e-11
 
 
 def test_a_covariance_that_is_none_fails_in_every_lane_with_the_words_of_the_single_run(road):

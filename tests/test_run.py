@@ -188,8 +188,8 @@ def test_an_interrupted_run_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert len(kept) >= 2
     one, other = kept[0].read_bytes(), kept[1].read_bytes()
     flown: list[int] = []
-    fly = experiment.realization
-    monkeypatch.setattr(experiment, "realization", lambda index: (flown.append(index), fly(index))[1])
+    fly = experiment.side_by_side
+    monkeypatch.setattr(experiment, "side_by_side", lambda indices: (flown.extend(indices), fly(indices))[1])
     for damaged in (b"half-written", one[:-7], other, one.replace(experiment.digest.encode(), b"0" * 16)):
         kept[0].write_bytes(damaged)
         said: list[str] = []

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from insemu.errors import InputError
 from insemu.evaluate.dataset import bytes_per_epoch
 from insemu.evaluate.emulated import BYTES_PER_SAMPLE
 from insemu.evaluate.experiment import Experiment
-from insemu.evaluate.running import FULL
+from insemu.evaluate.running import FULL, most
 
 #: Filter epochs that one core does in a second: 15 to 45 states, see benchmarks/filters.py.
 EPOCHS_PER_SECOND = (0.4e6, 1.2e6)
@@ -47,8 +45,8 @@ def effort(experiments: Sequence[Experiment], workers: int) -> str:
     """
     epochs, flying, kept, gathered = 0.0, 0.0, 0.0, 0.0
     for e in experiments:
-        at_a_time = min(workers, e.realizations)
-        samples = float(np.ptp(e.world.truth_at_outputs.t)) * e.rate_hz
+        at_a_time = min(workers * most(e), e.realizations)
+        samples = e.samples
         epochs += samples * e.realizations * len(e.scenario.designs)
         kept += (
             samples * BYTES_PER_SAMPLE

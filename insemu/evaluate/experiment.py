@@ -6,7 +6,7 @@ Truth and belief never share a variable: the emulator gets ``scenario.truth``, t
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -41,7 +41,7 @@ from insemu.filters import (
 )
 from insemu.fit import FitResult, fit, fit_together
 from insemu.noise import ARMA, CommonDraws, NoiseModel, NotStationary, axis_unit, load
-from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Series, Trajectory
+from insemu.records import AXES, AidRecord, GnssRecord, ImuRecord, Recording, Series, Trajectory
 from insemu.scenario import AxisSource, Scenario, code_version, digest
 from insemu.strapdown import NavState, trajectory_of
 
@@ -58,6 +58,30 @@ class Belief:
 
     models: Mapping[str, NoiseModel]
     fits: Mapping[str, FitResult] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Realized:
+    """One realization of the world."""
+
+    recording: Recording
+    true: TrueStates | None
+    start: NavState
+    start_sigma: InitialSigma
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """What one design is fed of a realization, and what it is judged with: the IMU as known, the rows of the output, the true states."""
+
+    ekf: NavigationFilter
+    imu: ImuRecord
+    gnss: GnssRecord
+    aids: Sequence[AidRecord]
+    known: ImuRecord
+    rows: NDArray[np.intp]
+    unaided: Array
+    true: TrueStates | None
 
 
 class Experiment:
@@ -115,6 +139,11 @@ class Experiment:
     def rate_hz(self) -> float:
         """IMU rate."""
         return self.world.rate_hz
+
+    @property
+    def samples(self) -> float:
+        """IMU samples of a realization."""
+        return float(np.ptp(self.world.truth_at_outputs.t)) * self.rate_hz
 
     @property
     def realizations(self) -> int:
@@ -334,24 +363,63 @@ class Experiment:
             raise InputError(f"{error}{hint}", where=f"{self.file or 'scenario'}: designs.{design}") from None
 
     def realization(self, index: int) -> xr.Dataset:
-        """Fly every design through one realization; the variables are those of :data:`insemu.evaluate.dataset.VARIABLES`."""
-        recording, true = self.world.realized(index)
-        start, start_sigma = self.world.start(index, recording.imu)
-        flown = {name: self._flown(name, recording, start, start_sigma, true) for name in self.beliefs}
-        return of_designs(flown, self.world.output_times)
+        """Fly every design through one realization; see :meth:`side_by_side`."""
+        (out,) = self.side_by_side([index])
+        return out
 
-    def _flown(
-        self, name: str, recording: Recording, start: NavState, start_sigma: InitialSigma, true: TrueStates | None
-    ) -> dict[str, Any]:
-        """One design through one realization."""
-        known = self.compensated(name, recording, start, start_sigma)
+    def side_by_side(self, indices: Sequence[int]) -> list[xr.Dataset]:
+        """Fly every design through some realizations, side by side where it can.
+
+        Whichever fly together, the numbers are the same; the variables are those of :data:`insemu.evaluate.dataset.VARIABLES`.
+        """
+        realized = []
+        for index in indices:
+            recording, true = self.world.realized(index)
+            realized.append(_Realized(recording, true, *self.world.start(index, recording.imu)))
+        flown = {name: self._flown(name, realized) for name in self.beliefs}
+        return [
+            of_designs({name: found[k] for name, found in flown.items()}, self.world.output_times)
+            for k in range(len(realized))
+        ]
+
+    def _flown(self, name: str, realized: Sequence[_Realized]) -> list[dict[str, Any]]:
+        """One design through some realizations."""
+        prepared = [self._prepared(name, one) for one in realized]
+        first = prepared[0].ekf
+        if isinstance(first, LooselyCoupledEKF) and all(p.ekf is first for p in prepared) and self.gpu is None:
+            runs: list[FilterResult | InputError] = first.run_many(
+                [p.imu for p in prepared],
+                [p.gnss for p in prepared],
+                [one.start for one in realized],
+                realized[0].start_sigma,
+                aids=[p.aids for p in prepared],
+            )
+        else:
+            runs = []
+            for p, one in zip(prepared, realized, strict=True):
+                aids = {"aids": p.aids} if p.aids else {}  # a user's filter need not know of them
+                runs.append(p.ekf.run(p.imu, p.gnss, one.start, one.start_sigma, **aids))
+        out = []
+        for one, p, run in zip(realized, prepared, runs, strict=True):
+            if isinstance(run, InputError):
+                raise run
+            out.append(self._judged(name, one, p, run))
+        return out
+
+    def _prepared(self, name: str, one: _Realized) -> _Prepared:
+        """What a design's filter is fed of a realization."""
+        known = self.compensated(name, one.recording, one.start, one.start_sigma)
         assert known.gnss is not None
         rows = self.world.rows(known.imu, max(d.options.covariance_every for d in self.scenario.designs.values()))
-        times = known.imu.t[rows]
-        ekf, unaided = self._ready(name, times, rows, self._rests(name, known))
-        aids = {"aids": known.aids} if known.aids else {}  # a user's filter need not know of them
+        ekf, unaided = self._ready(name, known.imu.t[rows], rows, self._rests(name, known))
         imu = self._prefiltered(name, self.world.imu_for(known.imu, ekf))
-        run = ekf.run(imu, self.believed(name, known.gnss), start, start_sigma, **aids)
+        # the true states are those of the data as they came: they say nothing of what is left after a compensation
+        true = one.true if known is one.recording else None
+        return _Prepared(ekf, imu, self.believed(name, known.gnss), known.aids, known.imu, rows, unaided, true)
+
+    def _judged(self, name: str, one: _Realized, p: _Prepared, run: FilterResult) -> dict[str, Any]:
+        """What is kept of one design in one realization."""
+        times = p.known.t[p.rows]
         if (users := self.scenario.designs[name].filter) is not None:
             check_result(users, run, times, smoother=self.scenario.smoother)
         found = asdict(self.world.score(Estimate.of_filter(run, times), times))
@@ -359,8 +427,7 @@ class Experiment:
             smoothed = self.world.score(Estimate.of_smoother(smooth(run), times), times)
             found |= {f"smoothed_{key}": value for key, value in asdict(smoothed).items()}
         used = run.fixes.accepted
-        # the true states are those of the data as they came: they say nothing of what is left after a compensation
-        found |= self._sensors(ekf, run, known.imu, rows, found["error"], true if known is recording else None, unaided)
+        found |= self._sensors(p.ekf, run, p.known, p.rows, found["error"], p.true, p.unaided)
         lag_sum, lag_count = lag_products(run.fixes) if used.any() else (np.zeros(5), np.zeros(5))
         return found | {
             "states": run.layout.n,

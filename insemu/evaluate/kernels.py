@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from insemu.errors import InputError
 from insemu.evaluate.covariance import analyse
 from insemu.filters import FilterOptions, InitialSigma, LooselyCoupledEKF, smooth
 from insemu.noise import GM, WN
@@ -20,7 +21,9 @@ def main() -> None:
     models = {axis: WN(N=1e-3) + GM(sigma=1e-3, beta=0.1) for axis in AXES}
     ekf = LooselyCoupledEKF(models, dt, gnss_sigma=(1.0, 1.0), options=FilterOptions(store="fixes"))
     start, sigma = NavState(llh, np.zeros(3), np.zeros(3)), InitialSigma(1.0, 0.1, 0.01)
-    smooth(ekf.run(imu, fixes, start, sigma))
+    (run,) = ekf.run_many([imu], [fixes], [start], sigma)
+    assert not isinstance(run, InputError)
+    smooth(run)
     print("filter", flush=True)
     analyse(ekf, models, imu, fixes, start, sigma, budget_at=(1.5,), budget_states=("pos_n",))
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,7 @@ from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.provenance import surroundings
 from insemu.evaluate.results import DesignInfo, Results
 from insemu.evaluate.tally import BASE, Ladder, Tally, pieces, tally
+from insemu.lanes import LANES
 from insemu.noise import axis_unit
 from insemu.work import Files, stream_items
 
@@ -37,6 +39,8 @@ PREVIEWED = 2
 FULL = 48
 #: Realizations under way or waiting for their turn, per worker: what bounds the memory.
 AHEAD = 3
+#: Samples of realizations that fly side by side: their records, and what the filter takes of them, are in memory at the same time.
+SAMPLES = 2_000_000
 
 
 def silent(done: int, total: int, label: str) -> None:
@@ -117,7 +121,8 @@ def run_experiment(
 
     means: dict[str, Any] = {"workers": workers, "executor": executor, "cache": cache, "say": say}
     if total <= FULL:
-        flown = fly(experiment, range(total), progress=progress, done=done, **means)
+        soon = 0 if preview is None else PREVIEWED
+        flown = fly(experiment, range(total), progress=progress, done=done, soon=soon, **means)
         return collected(experiment, dict(enumerate(flown)), time.perf_counter() - started)
     whole = condensed(experiment, range(total), progress=progress, done=done, **means)
     assert whole is not None
@@ -231,6 +236,7 @@ def fly(
     progress: Progress = silent,
     say: Callable[[str], None] = lambda text: None,
     done: Callable[[xr.Dataset], None] = lambda item: None,
+    soon: int = 0,
 ) -> Generator[xr.Dataset]:
     """Fly some realizations, or take them from where they are kept, and yield them in their order; few are held at a time.
 
@@ -242,6 +248,8 @@ def fly(
         As in :func:`run_experiment`.
     done : callable
         Told of every realization as it is there, in any order.
+    soon : int
+        Realizations at the beginning that wait for no other.
     """
     progress(0, len(realizations), "preparing")
     for name in experiment.beliefs:  # fits are made once, before the workers, and whatever is wrong with them is said
@@ -249,23 +257,83 @@ def fly(
     wait_for_kernels()
     finished = 0
 
-    def step(item: xr.Dataset) -> None:
+    def step(items: list[xr.Dataset]) -> None:
         nonlocal finished
-        finished += 1
-        progress(finished, len(realizations), "flying")
-        done(item)
+        for item in items:
+            finished += 1
+            progress(finished, len(realizations), "flying")
+            done(item)
 
-    store = None if cache is None else kept(experiment, cache, say)
-    keys = {_node(1, r): r for r in realizations}
+    alone = None if cache is None else kept(experiment, cache, say)
+    store = None if alone is None else _Together(alone)
     with ExitStack() as stack:
         pool = executor
         if (
             pool is None and workers > 1
         ):  # one worker is this thread: what was freed here is used again, another thread has memory of its own
             pool = stack.enter_context(ThreadPoolExecutor(max_workers=workers))
-        window = AHEAD * max(workers, getattr(pool, "width", 1))
-        for _, item in stream_items(keys, experiment.realization, pool=pool, store=store, done=step, window=window):
-            yield item
+        width = max(workers, getattr(pool, "width", 1))
+        is_kept = (lambda r: False) if alone is None else (lambda r: _node(1, r) in alone)
+        together = [
+            group
+            for part in (realizations[:soon], realizations[soon:])
+            for group in groups(part, is_kept, most(experiment), width)
+        ]
+        keys = {" ".join(_node(1, r) for r in group): group for group in together}
+        window = AHEAD * width
+        for _, items in stream_items(keys, experiment.side_by_side, pool=pool, store=store, done=step, window=window):
+            yield from items
+
+
+class _Together:
+    """What is kept of realizations, one by one, for groups of them; a key holds the names of all."""
+
+    def __init__(self, kept: Files[xr.Dataset]) -> None:
+        self._kept = kept
+
+    def get(self, key: str) -> list[xr.Dataset] | None:
+        """Return a finished group, or None."""
+        found = []
+        for name in key.split():
+            if (item := self._kept.get(name)) is None:
+                return None
+            found.append(item)
+        return found
+
+    def put(self, key: str, result: list[xr.Dataset]) -> None:
+        """Keep a finished group."""
+        for name, item in zip(key.split(), result, strict=True):
+            self._kept.put(name, item)
+
+
+def most(experiment: Experiment) -> int:
+    """Realizations that fly side by side at most: as many as there are lanes, fewer where long records would fill the memory."""
+    return 1 if experiment.gpu is not None else max(1, min(LANES, int(SAMPLES / experiment.samples)))
+
+
+def groups(
+    realizations: Sequence[int], is_kept: Callable[[int], bool], size: int, width: int = 1
+) -> list[tuple[int, ...]]:
+    """Realizations in the groups that fly side by side, in their order.
+
+    What is kept already comes alone. The rest is cut so that every worker has as many groups of the same size.
+
+    Parameters
+    ----------
+    realizations : sequence of int
+    is_kept : callable
+        Whether one is kept already.
+    size : int
+        Most of a group.
+    width : int
+        Workers.
+    """
+    out: list[tuple[int, ...]] = []
+    for there, alike in groupby(realizations, is_kept):
+        members = list(alike)
+        count = 1 if there else -(-len(members) // (width * -(-len(members) // (width * size))))
+        out += [tuple(members[k : k + count]) for k in range(0, len(members), count)]
+    return out
 
 
 def _node(size: int, first: int) -> str:

@@ -15,10 +15,13 @@ from insemu import earth, lanes
 from insemu.augment import Belief, StateLayout, augment
 from insemu.errors import InputError
 from insemu.filters import following, gpu, kernel
+from insemu.filters.buffers import Buffers
 from insemu.filters.events import FIX_ROWS, SAME_TIME, Events, GnssSigma, aid_events, fix_events, joined
+from insemu.filters.events import side_by_side as beside
+from insemu.filters.measurements import FIX
 from insemu.filters.options import FilterOptions, InitialSigma, three_sigmas
 from insemu.filters.packed import pack
-from insemu.filters.results import FilterResult, FixTable, Nodes
+from insemu.filters.results import FilterResult
 from insemu.records import AidRecord, GnssRecord, ImuRecord, Trajectory
 from insemu.strapdown import NavState
 
@@ -42,126 +45,6 @@ def steps_around(dt: float) -> int:
 
 
 @dataclass(frozen=True)
-class _Buffers:
-    """Arrays that the compiled loop fills."""
-
-    nav: Array
-    var: Array
-    x: Array
-    nu: Array
-    S: Array
-    nis: Array
-    dof: Array
-    ok: Array
-    epoch: NDArray[np.int64]
-    K: Array
-    H: Array
-    P: Array
-    node_at: NDArray[np.int64]
-    node_nav: Array
-    node_x: Array
-    node_dx: Array
-    before: Array
-    after: Array
-    phi: Array
-    last: Array
-
-    @classmethod
-    def of(
-        cls,
-        n: int,
-        epochs: int,
-        o: FilterOptions,
-        events: Events,
-        covariances: int,
-        nodes: int,
-        *,
-        side_by_side: bool = False,
-    ) -> _Buffers:
-        """Arrays for ``n`` states, so many epochs, whole covariances and nodes beside those of fixes; of lanes for several realizations."""
-        f, w = events.z.shape
-        stored = o.store == "fixes"
-        rows = o.rows(epochs).size
-        kept, g = (nodes + f, f) if stored else (0, 1)
-        m = n - 9
-
-        def room(*shape: int) -> Array:
-            return lanes.empty((*shape, lanes.LANES)) if side_by_side else np.empty(shape)
-
-        nu, S, nis, dof, ok = room(f, w), room(f, w, w), room(f), room(f), room(f)
-        K, H = room(g, n, w), room(g, w, n)
-        for values in (nu, S, nis, K, H):
-            values.fill(np.nan)
-        for values in (dof, ok):
-            values.fill(0.0)
-        before, after, phi = (room(kept, n, n) for _ in range(3))
-        return cls(
-            room(rows, 10), room(rows, n), room(rows, m), nu, S, nis, dof, ok, events.epoch.copy(), K, H, room(covariances, n, n),
-            np.zeros(kept, dtype=np.int64), room(kept, 10), room(kept, m), room(kept, n), before, after, phi, room(n, n),
-        )  # fmt: skip
-
-    def of_lane(self, lane: int) -> _Buffers:
-        """Those of one realization of several."""
-        of_float = {k: np.ascontiguousarray(v[..., lane]) for k, v in vars(self).items() if v.dtype.kind == "f"}
-        return replace(self, **of_float)
-
-    def passed(self, side_by_side: bool) -> dict[str, Any]:
-        """As compiled code takes them."""
-        return {k: lanes.lanes_of(v) if side_by_side and v.dtype.kind == "f" else v for k, v in vars(self).items()}
-
-    @classmethod
-    def flown(cls, f: gpu.Flown, events: Events) -> _Buffers:
-        """Those of a flight on a GPU, which stores no nodes."""
-        none = np.zeros((0, 0))
-        return cls(
-            f.nav, f.var, f.x, f.nu, f.S, f.nis, f.dof.astype(float), f.ok.astype(float), events.epoch.copy(), none, none, f.covariance,
-            np.zeros(0, dtype=np.int64), none, none, none, none, none, none, f.last,
-        )  # fmt: skip
-
-    def result(
-        self,
-        layout: StateLayout,
-        t: Array,
-        o: FilterOptions,
-        events: Events,
-        cov_epoch: NDArray[np.int64],
-        nodes: int,
-        seconds: float,
-    ) -> FilterResult:
-        """What the filter returns; ``nodes`` is how many were stored."""
-        stored = o.store == "fixes"
-        K, H = (self.K, self.H) if stored else (None, None)
-        fixes = FixTable(
-            events.t,
-            self.epoch,
-            events.kind,
-            self.nu,
-            self.S,
-            self.nis,
-            self.dof.astype(np.int64),
-            self.ok.astype(bool),
-            K,
-            H,
-        )
-        at = self.node_at[:nodes]
-        kept = (v[:nodes] for v in (self.node_nav, self.node_x, self.before, self.after, self.phi, self.node_dx))
-        return FilterResult(
-            layout=layout,
-            t=t[o.rows(t.size)],
-            nav=self.nav,
-            sigma=np.sqrt(np.maximum(self.var, 0.0, out=self.var), out=self.var),
-            imu_states=self.x,
-            fixes=fixes,
-            covariance_t=t[cov_epoch],
-            covariance=self.P,
-            nodes=Nodes(t[at], at, *kept) if stored else None,
-            final_covariance=self.last,
-            epochs=t.size - 1,
-            seconds=seconds,
-        )
-
-
-@dataclass(frozen=True)
 class _Flight:
     """One record as the compiled loop takes it; shapes as in :func:`insemu.filters.kernel.run`."""
 
@@ -174,11 +57,13 @@ class _Flight:
     P0: Array
     events: Events
 
-    @property
-    def times(self) -> tuple[bytes, ...]:
-        """The same for flights that can fly side by side."""
+    def times(self, fixes: bool) -> tuple[bytes, ...]:
+        """The same for flights that can fly side by side; with ``fixes`` only where those have the same times, too."""
         e = self.events
-        return tuple(v.tobytes() for v in (self.t, e.t, e.epoch, e.kind, e.since, e.tau, e.settings))
+        own = np.unique(e.t[e.kind == FIX]).size < np.count_nonzero(e.kind == FIX)
+        rows = slice(None) if fixes or own else e.kind != FIX
+        parts = [v[rows].tobytes() for v in (e.t, e.epoch, e.kind, e.since, e.tau, e.settings)]
+        return self.t.tobytes(), *parts
 
 
 class LooselyCoupledEKF:
@@ -333,8 +218,9 @@ class LooselyCoupledEKF:
     ) -> list[FilterResult | InputError]:
         """Filter several records of the same times, :data:`~insemu.lanes.LANES` at a time in the lanes of the processor's vectors.
 
-        A record's numbers are the same to the bit whichever others fly beside it, and those of :meth:`run` to rounding. Records whose times or
-        whose measurements' times, kinds and settings differ fly apart from each other; where the latency is a state, each by itself.
+        A record's numbers are the same whichever others fly beside it, and those of :meth:`run` to rounding. Records of other times or with other
+        aids fly apart, and so do fixes of other times where the covariance moves over several epochs or nodes are stored; where the latency is a
+        state, each record flies by itself.
 
         Parameters
         ----------
@@ -352,6 +238,8 @@ class LooselyCoupledEKF:
         """
         out: dict[int, FilterResult | InputError] = {}
         alike: dict[tuple[Any, ...], list[tuple[int, _Flight]]] = {}
+        # where every epoch moves the covariance and no node is stored, a fix of another lane changes nothing
+        fixes = self.options.covariance_every > 1 or self.options.store != "none"
         for k, given in enumerate(zip(imus, gnsses, initials, strict=True)):
             beside = () if aids is None else aids[k], None if initial_states is None else initial_states[k]
             try:
@@ -359,7 +247,7 @@ class LooselyCoupledEKF:
             except InputError as error:
                 out[k] = error
                 continue
-            alike.setdefault((k,) if self.installation()[1] >= 0 else flight.times, []).append((k, flight))
+            alike.setdefault((k,) if self.installation()[1] >= 0 else flight.times(fixes), []).append((k, flight))
         for same in alike.values():
             for first in range(0, len(same), lanes.LANES):
                 part = same[first : first + lanes.LANES]
@@ -408,17 +296,19 @@ class LooselyCoupledEKF:
         imu = np.hstack([flight.gyro, flight.accel])
         flown = self.gpu.fly(design, gpu.Flight(imu, flight.nav, flight.x0, flight.P0, events))
         wrong = self._wrong(flown.code, flown.detail)
-        b = _Buffers.flown(flown, events)
+        b = Buffers.flown(flown, events)
         return [wrong or b.result(self.layout, flight.t, o, events, cov_epoch, 0, time.perf_counter() - started)]
 
     def _fly(self, flights: Sequence[_Flight], *, side_by_side: bool) -> list[FilterResult | InputError]:
         """Flights of the same times through the compiled loop: one as numbers, or up to :data:`~insemu.lanes.LANES` in lanes."""
         started = time.perf_counter()
         o, a, (lever_at, latency_at) = self.options, self.augmentation, self.installation()
-        t, events = flights[0].t, flights[0].events
+        t = flights[0].t
+        each, own_rows = beside([f.events for f in flights])
+        events = each[0]
         cov_epoch = self.covariance_epochs(t)
         node_epoch = self._node_epochs(t, cov_epoch, events, moving=latency_at >= 0)
-        b = _Buffers.of(self.layout.n, t.size, o, events, cov_epoch.size, node_epoch.size, side_by_side=side_by_side)
+        b = Buffers.of(self.layout.n, t.size, o, events, cov_epoch.size, node_epoch.size, side_by_side=side_by_side)
         status = np.zeros((2, lanes.LANES) if side_by_side else 2)
         filled = [*flights, *[flights[0]] * (lanes.LANES - len(flights))] if side_by_side else flights
 
@@ -439,7 +329,7 @@ class LooselyCoupledEKF:
             self.thresholds(events.z.shape[1]), o.gate_timeout, o.covariance_every, o.output_every, trend_window(self.dt), steps_around(self.dt),
             SAME_TIME * self.dt,
             events.first_of, events.next_alike, events.t, events.epoch, events.kind, events.since, events.tau,
-            stacked(f.events.z for f in filled), stacked(f.events.var for f in filled), events.settings, cov_epoch, node_epoch,
+            stacked(e.z for e in each), stacked(e.var for e in each), events.settings, cov_epoch, node_epoch,
             o.store == "fixes", v["nav"], v["var"], v["x"], v["nu"], v["S"], v["nis"], v["dof"], v["ok"], v["epoch"], v["K"], v["H"],
             v["P"], v["node_at"], v["node_nav"], v["node_x"], v["before"], v["after"], v["phi"], v["node_dx"], v["last"],
             lanes.lanes_of(status) if side_by_side else status,
@@ -448,7 +338,7 @@ class LooselyCoupledEKF:
         out: list[FilterResult | InputError] = []
         for lane, flight in enumerate(flights):
             wrong = self._wrong(*(status[:, lane] if side_by_side else status).astype(int))
-            own = b.of_lane(lane) if side_by_side else b
+            own = b.of_lane(lane, own_rows[lane]) if side_by_side else b
             out.append(wrong or own.result(self.layout, t, o, flight.events, cov_epoch, stored, seconds))
         return out
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -94,6 +94,42 @@ def joined(parts: Sequence[Events]) -> Events:
     together = {name: np.concatenate(values) for name, values in columns.items()}
     order = np.argsort(together["epoch"], kind="stable")
     return Events(**{name: np.ascontiguousarray(v[order]) for name, v in together.items()})
+
+
+def side_by_side(lists: Sequence[Events]) -> tuple[list[Events], list[Ints]]:
+    """The events of several flights at the same times, and the rows of each one's own: fixes that one has not are NaN in it.
+
+    Parameters
+    ----------
+    lists : sequence of Events
+        Of the same aids; no two fixes of one of the same time.
+    """
+    first = lists[0]
+    if all(np.array_equal(e.t, first.t) and np.array_equal(e.epoch, first.epoch) for e in lists):
+        return list(lists), [np.arange(first.t.size)] * len(lists)
+    of_fix = [np.flatnonzero(e.kind == FIX) for e in lists]
+    stamps = np.concatenate([np.stack([e.epoch[k], e.t[k]], axis=1) for e, k in zip(lists, of_fix, strict=True)])
+    _, taken, place = np.unique(stamps, axis=0, return_index=True, return_inverse=True)
+    columns = {
+        f.name: np.concatenate([getattr(e, f.name)[k] for e, k in zip(lists, of_fix, strict=True)])
+        for f in fields(Events)
+    }
+    aids = Events(**{f.name: getattr(first, f.name)[first.kind != FIX] for f in fields(Events)})
+    fixes = Events(**{name: v[taken] for name, v in columns.items()})
+    fixes.z[:], fixes.var[:] = np.nan, np.nan
+    order = np.argsort(np.concatenate([fixes.epoch, aids.epoch]), kind="stable")
+    row_of = np.empty(order.size, dtype=np.int64)
+    row_of[order] = np.arange(order.size)
+    together = joined([fixes, aids])
+    out, rows = [], []
+    for e, own in zip(lists, np.split(place.reshape(-1), np.cumsum([k.size for k in of_fix])[:-1]), strict=True):
+        at = np.empty(e.t.size, dtype=np.int64)
+        at[e.kind == FIX], at[e.kind != FIX] = row_of[own], row_of[fixes.t.size :]
+        z, var = np.full((2, *together.z.shape), np.nan)
+        z[at], var[at] = e.z, e.var
+        out.append(replace(together, z=z, var=var))
+        rows.append(at)
+    return out, rows
 
 
 def _on_epochs(t: Array, dt: float, times: Array) -> tuple[Ints, Array]:

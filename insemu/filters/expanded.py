@@ -28,7 +28,7 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from insemu.compiled import njit
-from insemu.lanes import any_of, lanes
+from insemu.lanes import any_of, lanes, where
 from insemu.rotation import scalar_dcm
 
 Array = NDArray[np.float64]
@@ -458,6 +458,43 @@ def predict(
             E[i * ld + j] = T[i * ld + j] if i < j else T[j * ld + i]
 
 
+@njit(cache=True, nogil=True)
+def states_ahead(
+    x: Array, axis_x: Array, slots: int, diagonal: bool, d: Array, phi: Array, c: Array, work: Array
+) -> None:
+    """Predict the estimates of the augmented states, and what the axes see of them.
+
+    Parameters
+    ----------
+    x : (LD,) array
+        Estimates at the states' places, overwritten.
+    axis_x : (6,) array
+        Overwritten.
+    slots, diagonal, d, phi, c, work
+        As in :func:`predict`.
+    """
+    _, first, wide = grid(x)
+    if diagonal:
+        for j in range(first, first + wide * slots):
+            x[j] *= d[j]
+    else:
+        for s in range(slots):
+            for lane in range(6):
+                total = 0.0
+                for k in range(slots):
+                    total += phi[s, k, lane] * x[first + wide * k + lane]
+                work[wide * s + lane] = total
+        for s in range(slots):
+            for lane in range(6):
+                x[first + wide * s + lane] = work[wide * s + lane]
+    for a in range(6):
+        total = 0.0
+        for s in range(slots):
+            k = first + wide * s + a
+            total += c[k] * x[k]
+        axis_x[a] = total
+
+
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def advance_transition(
     A: Array,
@@ -539,7 +576,7 @@ def gather(E: Array, place: Ints, P: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def scatter(P: Array, place: Ints, E: Array) -> None:
+def scatter(P: Array, place: Ints, changed: float, E: Array) -> None:
     """Inverse of :func:`gather`.
 
     Parameters
@@ -548,12 +585,15 @@ def scatter(P: Array, place: Ints, E: Array) -> None:
         Covariance in the layout's order.
     place : (n,) array of int
         Row of ``E`` of each state of the layout.
+    changed : float
+        1 where ``P`` has changed since it was gathered, else 0.
     E : (rows * LD,) array
-        Overwritten at these places, without the transposes of the navigation rows.
+        Overwritten there at these places, without the transposes of the navigation rows.
     """
     ld, _, _ = grid(E)
     n = place.size
     for i in range(n):
         for j in range(n):
             if i < 9 or j >= 9:
-                E[place[i] * ld + place[j]] = P[i, j]
+                at = place[i] * ld + place[j]
+                E[at] = where(changed > 0.0, P[i, j], E[at])

@@ -79,7 +79,11 @@ def on_ideal_data(
         gate=None, standstill=None, store="fixes", node_every=None, output_every=1_000, covariance_every=1,
         covariance_at=tuple(times),
     )  # fmt: skip
-    return ekf, ekf.run(record, ideal_fixes(ekf, record, nav, gnss), initial, believed_sigma)
+    # in lanes, like the realizations, so that one compiled kernel serves both
+    (run,) = ekf.run_many([record], [ideal_fixes(ekf, record, nav, gnss)], [initial], believed_sigma)
+    if isinstance(run, InputError):
+        raise run
+    return ekf, run
 
 
 def gains_along(

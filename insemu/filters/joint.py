@@ -247,7 +247,7 @@ def _forward(
     E, T = np.zeros((FIRST + 8 * slots + 17) * LD), np.zeros(15 * LD)
     work = np.zeros((8 * slots + 10) * LD)
     P, B = P0.copy(), np.empty((n, n))
-    scatter(P, place, E)
+    scatter(P, place, 1.0, E)
     c = np.zeros(LD)
     for s in range(n - 9):
         c[place[9 + s]] = c0[s]
@@ -275,7 +275,7 @@ def _forward(
                         x += B[i, a] * M[fix, j, a]
                     P[i, j] = x
                     P[j, i] = x
-            scatter(P, place, E)
+            scatter(P, place, 1.0, E)
             fix += 1
         while row < out_epoch.size and out_epoch[row] == k:
             gather(E, place, out[row])

@@ -20,6 +20,7 @@ from insemu.filters.expanded import (
     predict,
     reset_transition,
     scatter,
+    states_ahead,
 )
 from insemu.filters.following import add_speed, take_times
 from insemu.filters.measurements import (
@@ -42,33 +43,6 @@ Ints = NDArray[np.int64]
 
 #: Where the latency is a state, a fix is used at most so many steps after its own time.
 LATE_STEPS = 2.5
-
-
-@njit(cache=True, nogil=True)
-def _states_ahead(
-    x: Array, axis_x: Array, slots: int, diagonal: bool, d: Array, phi: Array, c: Array, work: Array
-) -> None:
-    """Predict the estimates of the augmented states, and what the axes see of them."""
-    _, first, wide = grid(x)
-    if diagonal:
-        for j in range(first, first + wide * slots):
-            x[j] *= d[j]
-    else:
-        for s in range(slots):
-            for lane in range(6):
-                total = 0.0
-                for k in range(slots):
-                    total += phi[s, k, lane] * x[first + wide * k + lane]
-                work[wide * s + lane] = total
-        for s in range(slots):
-            for lane in range(6):
-                x[first + wide * s + lane] = work[wide * s + lane]
-    for a in range(6):
-        total = 0.0
-        for s in range(slots):
-            k = first + wide * s + a
-            total += c[k] * x[k]
-        axis_x[a] = total
 
 
 @njit(cache=True, nogil=True)
@@ -296,7 +270,7 @@ def run(
     for i in range(n):
         for j in range(n):  # an assignment of slices would compile three seconds of messages
             P[i, j] = P0[i, j]
-    scatter(P, place, E)
+    scatter(P, place, 1.0, E)
     for s in range(m):
         x[place[9 + s]] = x0[s]
         if driver[s] >= 0:
@@ -352,7 +326,7 @@ def run(
                     power_sum[g] += power_now[g]
                 if timed:
                     take_times(of_one, time_at, time_law, time_of[0], power_now)
-            _states_ahead(x, seen, slots, diagonal, d_one, phi_one, c, work)
+            states_ahead(x, seen, slots, diagonal, d_one, phi_one, c, work)
             for i in range(3):
                 dth1[i], dv1[i], rate1[i] = dth[i], dv[i], rate[i]
                 dth[i] = number_at(gyro, k, i) - seen[i] * dt
@@ -581,7 +555,7 @@ def run(
                             turn(P, H, H_after, used)
                     if _failed(status, first_bad_pivot(P, L), 1):
                         return node
-                    scatter(P, place, E)
+                    scatter(P, place, ok, E)
                     for i in range(n):
                         node_total[i] += dx[i]
         if is_node:
