@@ -45,7 +45,7 @@ def residuals(run: FilterResult) -> tuple[Array, Array]:
     """What is left of the fixes of a run once all of them are known, and its variance.
 
     For a fix with innovation ``v``, Jacobian ``H`` and noise ``R``: ``v + H e`` with the smoothed error ``e`` of the prediction, and
-    ``R - H P H'`` with its smoothed covariance ``P`` (Kailath and Frost 1968). Errors of the attitude, which move the antenna on its lever arm,
+    ``R - H P H'`` with its smoothed covariance ``P`` (de Jong 1989). Errors of the attitude, which move the antenna on its lever arm,
     are left out of ``e``.
 
     Parameters
