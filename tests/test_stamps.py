@@ -198,7 +198,7 @@ def test_text_that_unpacks_to_far_more_than_its_size_is_refused(
     assert len(read_log(usual)) == 40_000 and len(lines) > 2 << 20
 
 
-@pytest.mark.slow
+@pytest.mark.slow(reason="a whole solution of a drive, three times")
 def test_a_drive_under_three_clocks_has_one_solution(tmp_path: Path) -> None:
     """One drive as three loggers write it: all figures agree, and the start is the only line that differs."""
     variants = shared("cases/logger/variants.py")
