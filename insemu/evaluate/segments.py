@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 #: Numbers that are drawn at a time, at most.
-BATCH = 4_000_000
+BATCH = 1_000_000
 
 
 @dataclass(frozen=True)
