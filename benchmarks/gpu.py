@@ -1,6 +1,6 @@
-"""The filter and the linear twin on a GPU against this machine's cores: the same numbers, and how many flights a second.
+"""The filter on a GPU against this machine's cores: the same numbers, and how many flights a second.
 
-Run: .venv/bin/python benchmarks/gpu.py [--flights N] [--linear N]; needs the extra ``gpu`` and a GPU.
+Run: .venv/bin/python benchmarks/gpu.py [--flights N]; needs the extra ``gpu`` and a GPU.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from insemu.compiled import wait_for_kernels
-from insemu.evaluate import Experiment, LinearTwin, run_experiment
+from insemu.evaluate import Experiment, run_experiment
 from insemu.filters import GPU_THREADS, Gpu, gpu
 from insemu.scenario import load
 
@@ -90,26 +90,10 @@ def throughput(here: Experiment, there: Experiment, flights: int, threads: list[
         )
 
 
-def linear(here: Experiment, there: Experiment, count: int) -> None:
-    drawn, seconds = [], []
-    for experiment in (here, there):
-        twin = LinearTwin(experiment)
-        twin.draw(100, twin.rng)
-        started = time.perf_counter()
-        drawn.append(twin.draw(count, twin.rng))
-        seconds.append(time.perf_counter() - started)
-    off = max(float(np.abs(drawn[0][d] - drawn[1][d]).max() / np.abs(drawn[0][d]).max()) for d in drawn[0])
-    print(
-        f"{count} linear realizations: {seconds[0]:.2f} s here, {seconds[1]:.2f} s with the GPU ({seconds[0] / seconds[1]:.2f} times); "
-        f"largest relative difference {off:.1e}"
-    )
-
-
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--flights", type=int, default=384)
     parser.add_argument("--threads", type=int, nargs="*", default=[GPU_THREADS])
-    parser.add_argument("--linear", type=int, default=10_000)
     given = parser.parse_args()
     device = Listening()
     print(device.name)
@@ -118,7 +102,6 @@ def main() -> None:
     same_numbers(here, there)
     throughput(here, there, given.flights, given.threads)
     alone(device)
-    linear(here, there, given.linear)
 
 
 if __name__ == "__main__":

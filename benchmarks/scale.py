@@ -37,7 +37,6 @@ from insemu.evaluate import (
     Experiment,
     LinearTwin,
     analyse_designs,
-    planimetric,
     previewed,
     run_experiment,
     write,
@@ -292,8 +291,7 @@ def twin(flights: int) -> None:
     linear = LinearTwin(experiment)
     made = time.process_time() - started
     started = time.process_time()
-    told = previewed(linear, LINEAR)
-    drawn = told.errors
+    preview = previewed(linear, LINEAR)
     seconds = made + time.process_time() - started
     started = time.process_time()
     cells_of = control(first, linear, linear.draw(LINEAR, linear.rng))
@@ -302,8 +300,8 @@ def twin(flights: int) -> None:
         f"  {flights} flights {flights * per_flight:.0f} CPU s, preview {seconds:.0f}, help for {few} {helping:.0f}",
         flush=True,
     )
-    for name, correlation in told.beyond.items():
-        print(f"  {name} is not linear (correlation {correlation:.3f}): {len(drawn[name])} runs at long steps")
+    for name, beyond in preview.beyond.items():
+        print(f"  {name} is not linear: {beyond.reason}")
     times = LINEAR * per_flight / seconds
     row(
         f"{LINEAR} linear realizations at least 60 times cheaper",
@@ -319,7 +317,7 @@ def twin(flights: int) -> None:
     for name in experiment.beliefs:
         full = results.planimetric_ends(name)
         for k in range(full.shape[1]):
-            ours, many = full[:, k], planimetric(drawn[name][:, k])
+            ours, told = full[:, k], preview.told(name, k)
             found = cells_of[name][k]
             i = int(np.argmin(np.abs(exact[name].t - experiment.world.imu.t[linear.ends[k]])))
             # of flights alone for all that time: by the spread of all flights, and by that which the cheap runs tell
@@ -329,17 +327,17 @@ def twin(flights: int) -> None:
             narrower += own >= 3.0 * found.mean.width
             expected += equal >= 3.0 * found.mean.width
             cells += 1
-            error = np.hypot(ours.std(ddof=1) / np.sqrt(flights), many.std(ddof=1) / np.sqrt(many.size))
-            q = float(np.quantile(many, 0.95))
+            error = np.hypot(ours.std(ddof=1) / np.sqrt(flights), told.mean.width / 3.92)
+            q = told.quantile_95
             quantile = _quantile_interval(ours)
             inside = quantile[0] <= q <= quantile[1]
             agree += (
-                abs(ours.mean() - many.mean()) < 2.77 * error and inside
+                abs(ours.mean() - told.mean.value) < 2.77 * error and inside
             )  # 95 % of nine cells together for the means (Bonferroni)
             print(
-                f"  {name}, {k + 1}: {ours.mean():.1f} +- {1.96 * ours.std(ddof=1) / np.sqrt(flights):.1f}, {many.mean():.1f}; "
+                f"  {name}, {k + 1}: {ours.mean():.1f} +- {1.96 * ours.std(ddof=1) / np.sqrt(flights):.1f}, {told.mean.value:.1f}; "
                 f"{np.quantile(ours, 0.95):.0f} ({quantile[0]:.0f} to {quantile[1]:.0f}), {q:.0f}; "
-                f"{np.sqrt((ours**2).mean()):.0f}, {np.sqrt((many**2).mean()):.0f}, {np.hypot(*exact[name].rms[i, :2]):.0f}; "
+                f"{np.sqrt((ours**2).mean()):.0f}, {told.rms:.0f}, {np.hypot(*exact[name].rms[i, :2]):.0f}; "
                 f"{found.correlation:.4f} {found.by if found.used else 'refused'}; "
                 f"{own / found.mean.width:.1f} (cheap runs' spread: {equal / found.mean.width:.1f})"
             )

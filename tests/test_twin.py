@@ -87,17 +87,17 @@ def test_the_coarse_twin_errs_as_the_filter_does_where_the_linear_one_does_not(t
     assert list(preview.beyond) == ["white"]  # and not "full", which knows its errors
     told = {name: preview.told(name) for name in linear.designs}
     assert {name: (one.by, one.runs) for name, one in told.items()} == {
-        "white": ("coarse", 50),
+        "white": ("coarse", 33),
         "full": ("linear", 400),
     }
-    apart = coarse.draw(400, ["white"], first=50)["white"]  # runs that the preview has not seen
+    apart = coarse.draw(400, ["white"], first=33)["white"]  # runs that the preview has not seen
     spread = planimetric(apart).std(axis=0)
     for k in range(len(linear.ends)):
         one = preview.told("white", k)
         error = np.hypot(spread[k] / 20.0, one.mean.width / 3.92)
         assert abs(one.mean.value - planimetric(apart[:, k]).mean()) < 4.4 * error
         assert one.rms == pytest.approx(
-            np.sqrt((planimetric(apart[:, k]) ** 2).mean()), rel=4.4 * np.sqrt(0.5 / 50 + 0.5 / 400)
+            np.sqrt((planimetric(apart[:, k]) ** 2).mean()), rel=4.4 * np.sqrt(0.5 / 33 + 0.5 / 400)
         )
     at = np.searchsorted(experiment.world.output_times, experiment.world.imu.t[linear.ends] - 1e-9)
     off = {"linear": 0.0, "coarse": 0.0}

@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 #: Longest step, s. On Table III errors at outage ends correlate with those of flights to 0.9997 or better at 0.2 s, to 0.99 at 0.5 s (8 flights).
 STEP = 0.2
 #: Runs whose errors are drawn at a time.
-BATCH = 8
+BATCH = 3
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ LINEAR = 0.99
 #: show in one run of twenty.
 CHECK, FEWEST, CHECKED = 16, 12, 48
 #: The same for a design that is not linear: its runs only tell what the linear ones differ by.
-PREVIEW, MOST = 8, 128
+PREVIEW, MOST = 12, 128
 #: Level of the quantile that is reported, and points of the linear distribution and resamples from which it is made.
 LEVEL, POINTS, RESAMPLES = 0.95, 400, 400
 

@@ -296,7 +296,10 @@ def updates(
     spread = ((1 + shift) ** 2 + shift**2)[:, None, None]
     noise[:, 3:, 3:] += spread * ((X * joint.white[:3]) @ X.transpose(0, 2, 1))
     Hz *= gains.used[:, :, None]
-    return np.eye(n) - K @ Hz, K, noise
+    M = K @ Hz
+    np.negative(M, out=M)
+    M[:, range(n), range(n)] += 1.0
+    return M, K, noise
 
 
 def _sources(truth: Belief, aug: Augmentation, mb: int) -> tuple[Ints, list[str]]:

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 #: Numbers that are drawn at a time, at most.
-BATCH = 4_000_000
+BATCH = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -238,7 +238,7 @@ def _moved(joint: Joint, aug: Augmentation, truth: Carried, sigma: Array, ends: 
     kicks = [joint.K[:, d] @ even_root(noise) for d, noise in enumerate(joint.noise)]
     kick_of = np.concatenate(kicks, axis=1)
     into = joint.N @ seen
-    added = truth.noise[:, order][:, :, order]
+    ordered = np.ix_(order, order)
     starts = np.searchsorted(joint.intervals.at(joint.epoch), np.arange(joint.intervals.nodes.size + 1))
     asked = set(joint.intervals.at(np.asarray(ends)).tolist())
     C = np.zeros((wide + p, wide + p))
@@ -261,7 +261,7 @@ def _moved(joint: Joint, aug: Augmentation, truth: Carried, sigma: Array, ends: 
         C = _both(C, Z, B[:, :, :p], S[:p, :p])
         if node:
             both = np.concatenate([W.reshape(wide, -1), passed])
-            C += both @ added[node - 1] @ both.T
+            C += both @ truth.noise[node - 1][ordered] @ both.T
         C[:wide, :wide] += kick @ kick.T
         own, by, moved = Z @ own, Z @ by + B @ moved, S @ moved
         if node in asked:

@@ -124,6 +124,7 @@ class LinearTwin:
             cross = np.array([[0.0, -l2, l1], [l2, 0.0, -l0], [-l1, l0, 0.0]])
             self._arm[name] = -rotation.dcm_from_quaternion(nav[self.epoch, 6:10]) @ cross
             self.stated[name] = np.sqrt(P[:, 0, 0] + P[:, 1, 1])
+            del own, gains, M, K  # before the next design needs as much
 
     @property
     def rng(self) -> np.random.Generator:

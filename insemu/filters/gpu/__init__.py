@@ -347,14 +347,6 @@ class Gpu:
                 self.left[why] += 1
         return not why
 
-    def there(self, values: Array) -> Any:
-        """An array on the GPU."""
-        return self._cupy.asarray(values)
-
-    def here(self, values: Any) -> Array:
-        """An array of the GPU's in this process."""
-        return np.asarray(self._cupy.asnumpy(values))
-
     def fly(self, design: Design, flight: Flight) -> Flown:
         """Fly one flight, together with others of the design that wait; returns when it has ended.
 
