@@ -175,7 +175,7 @@ def table_3(task: Task) -> Content:
     rms = math.sqrt(np.mean([math.log(c.ours / c.printed) ** 2 for c in cells]))
     said = [
         Statement("rms log ratio of the nine cells at most 0.12", f"{rms:.2f}", rms <= 0.12),
-        Statement("no better at 7 minutes", f"model 3 gains {gain[0]:.0f} %", abs(gain[0]) < 10.0),
+        Statement("no better at 7 minutes", f"model 3 gains {round(gain[0]) + 0} %", abs(gain[0]) < 10.0),
         Statement(
             "28 % at 11 minutes and 52 % at 15",
             f"{gain[1]:.0f} % and {gain[2]:.0f} %",
