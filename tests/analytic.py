@@ -28,10 +28,17 @@ from tests.claims import ROOT
 BOUND, LINEAR = 4.0, 0.05
 #: How much larger than at its end an error may have been during an outage.
 LARGEST = 0.20
-#: Cells of which the linear theory gives a fifth, why is open: with a turn-on bias that nobody carries. They count as our own draws.
-APART = {("turn_on_bias", "18AV", "NEES"), ("turn_on_bias", "GMWM", "NEES")}
+#: Cells of which the linear theory gives a fifth, why is open: with a turn-on bias that nobody carries; half, where errors of 300 m turn into
+#: height or a filter is far too sure of itself. They count as our own draws.
+APART = {
+    ("turn_on_bias", "18AV", "NEES"),
+    ("turn_on_bias", "GMWM", "NEES"),
+    ("", "model 3", "altitude"),
+    ("reading_b", "model 3 + bias", "NEES"),
+}
 HEADS = {
     "table3_synthetic": "Table III of Stebler et al. (2014), on simulated signals",
+    "table3_reading_b": "Table III under reading (b): manoeuvres, fits, alignment, GNSS",
     "outages_smoothed": "The outages of Stebler et al. (2011), filtered and smoothed",
     "tables_9_10": "Tables 9 and 10 of Quinchia et al. (2013)",
 }

@@ -78,7 +78,7 @@ def test_rivals_change_what_they_are_named_for_and_leave_the_scenario_as_it_is()
         default = [p["beta"] for p in changed["truth"]["gyro"] if "beta" in p]
         assert default == [p["beta"] for p in whole["truth"]["gyro"] if "beta" in p]
     hidden._slow(changed := hidden.base(), 2.0)
-    assert changed["designs"]["model 3"]["gyro"][1]["sigma"] == f"{2 * hidden.SLOW} deg/s"
+    assert changed["designs"]["model 3"]["gyro"][1]["sigma"] == "0.001728 deg/s"
 
 
 def test_a_bias_adds_its_own_parabola_and_a_filter_from_the_scenario_learns_it() -> None:

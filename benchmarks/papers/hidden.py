@@ -34,10 +34,12 @@ Document = dict[str, Any]
 SCENARIO = Path(__file__).parents[2] / "scenarios" / "table3_synthetic.yaml"
 #: Rate of the search, Hz: means differ by less than 1 % from those at 100 Hz.
 RATE = 10.0
-#: Standard deviation of the slow gyroscope process of Table II, deg/s.
-SLOW = 8.64e-4
+#: Slowest process of a sensor in Table II: standard deviation under reading (a), and its unit.
+SLOW = {"gyro": (8.64e-4, "deg/s"), "accel": (900.0, "ug")}
 #: Turn-on biases that are tried, of the gyroscopes in deg/s and of the accelerometers in mg.
 BIASES = {"gyro": np.geomspace(0.015, 0.1, 60), "accel": np.geomspace(1.0, 40.0, 60)}
+#: Designs that the paper has, too.
+MODELS = ("model 1", "model 2", "model 3")
 UNIT = {"gyro": math.radians(1.0), "accel": 9.80665e-3}
 #: Factors on the slow gyroscope process in the belief of model 3, and minutes after mission start at which filters begin.
 FACTORS = tuple(float(x) for x in np.round(np.geomspace(0.75, 5.0, 15), 3))
@@ -118,7 +120,7 @@ class Fitted:
         what, unit = kind[self.reading.sensor]
         every = {
             "bias": (what, self.bias, unit),
-            "factor": ("slow process of model 3 over that of Table II", self.factor, "times"),
+            "factor": ("slowest process that model 3 believes, over that of Table II", self.factor, "times"),
             "begin": ("begin of the filters after mission start", self.begin, "min"),
         }
         return {name: every[name] for name in every if name in self.intervals}
@@ -154,10 +156,11 @@ def base() -> Document:
 
 
 def whole() -> Document:
-    """The scenario as it stands, at the rate of the search, without variants."""
+    """The scenario as it stands, with the paper's designs, at the rate of the search, without variants."""
     document: Document = yaml.safe_load(SCENARIO.read_text(encoding="utf-8"))
     document.update(variants={}, published=None, smoother=False)
     document["trajectory"]["rate"] = f"{RATE} Hz"
+    document["designs"] = {name: document["designs"][name] for name in MODELS}
     return document
 
 
@@ -169,10 +172,13 @@ def experiment(document: Document) -> Experiment:
         return Experiment(load(path), path)
 
 
-def _slow(document: Document, factor: float) -> None:
-    for process in document["designs"]["model 3"]["gyro"]:
-        if process.get("beta") in ("9.03e-4 Hz", CYCLES):
-            process["sigma"] = f"{factor * SLOW} deg/s"
+def _slow(document: Document, factor: float, sensor: str = "gyro") -> None:
+    """Let model 3 believe in a slowest process of a sensor so many times as strong as in Table II."""
+    sigma, unit = SLOW[sensor]
+    slowest = min(
+        (p for p in document["designs"]["model 3"][sensor] if "beta" in p), key=lambda p: float(p["beta"].split()[0])
+    )
+    slowest["sigma"] = f"{factor * sigma} {unit}"
 
 
 def _horizontal(e: Experiment, design: str, sensor: str) -> tuple[Array, Array]:
@@ -216,7 +222,7 @@ def tabulated(reading: Reading) -> Array:
         for d, name in enumerate(e.scenario.designs):
             for j, factor in enumerate(reading.factors):
                 if name == "model 3":
-                    _slow(changed := copy.deepcopy(document), factor)
+                    _slow(changed := copy.deepcopy(document), factor, reading.sensor or "gyro")
                     rest, unit = _horizontal(experiment(changed), name, reading.sensor)
                 elif j == 0:
                     rest, unit = _horizontal(e, name, reading.sensor)
@@ -299,10 +305,6 @@ def _inside(values: Array, profile: Array, rise: float) -> tuple[float, float]:
     return end(inside[0], inside[0] - 1), end(inside[-1], inside[-1] + 1)
 
 
-#: 2 pi times the slow process's printed beta.
-CYCLES = f"{2 * math.pi * 9.03e-4} Hz"
-
-
 def _stationary(document: Document) -> None:
     for name in ("model 2", "model 3"):
         document["designs"][name]["options"]["states"]["stationary_start"] = 1
@@ -333,13 +335,15 @@ def _aligned(document: Document) -> None:
 
 
 ONE = (1.0,)
+HEIGHT = "outages would have to lie in turns; models 1 and 2 would err by hundreds of metres in height"
+STRAIGHT = "outages would have to lie in turns, of which the text says nothing"
 #: The best supported reading, and its rivals.
 BEST = Reading("turn-on bias, slow process stronger than printed and begun at zero, filters begin later", begins=BEGINS)
 RIVALS = (
     Reading("Table II alone, reading (a)", _stationary, ONE, sensor=""),
     Reading("turn-on bias, stationary start", _stationary, ONE),
     Reading("turn-on bias, begun at zero", factors=ONE),
-    Reading("the same, filters begin later", factors=ONE, begins=BEGINS),
+    Reading("turn-on bias, begun at zero, filters begin later", factors=ONE, begins=BEGINS),
     Reading("turn-on bias, slow process stronger, stationary start", _stationary),
     Reading("turn-on bias, slow process stronger, begun at zero"),
     Reading(
@@ -349,7 +353,11 @@ RIVALS = (
     Reading("turn-on bias, slow process stronger, GNSS of 1 m and 0.1 m/s", _gnss("1 m", "0.1 m/s")),
     Reading("turn-on bias, slow process stronger, positions alone", _gnss("2 cm", None), against="the text speaks of position/velocity"),
     Reading("turn-on bias, slow process stronger, alignment to 5 and 10 deg", _aligned),
-    Reading("turn-on bias, slow process stronger, outages in turns", _in_turns),
-    Reading("accelerometer turn-on bias, outages on lines", sensor="accel"),
-    Reading("accelerometer turn-on bias, outages in turns", _in_turns, sensor="accel"),
+    Reading("turn-on bias, slow process stronger, outages in turns", _in_turns, against=STRAIGHT),
+    Reading("accelerometer turn-on bias, slow process stronger", sensor="accel"),
+    Reading("accelerometer turn-on bias, slow process stronger, outages in turns", _in_turns, sensor="accel", against=HEIGHT),
+    Reading(
+        "accelerometer turn-on bias, slow process stronger, outages in turns, filters begin later",
+        _in_turns, (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0), BEGINS, "accel", against=HEIGHT,
+    ),
 )  # fmt: skip
