@@ -136,4 +136,4 @@ class Band(Process):
         return self.autoregression(dt).block(dt)
 
     def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
-        self.autoregression(dt).fill(out, dt, rng)
+        self.autoregression(dt).source(out.size, dt, rng)(out)
