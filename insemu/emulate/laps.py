@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PPoly
 
 from insemu.emulate.flight import Flight
-from insemu.emulate.path import SmoothPath
 from insemu.errors import InputError
 
 Array = NDArray[np.float64]
@@ -48,7 +47,9 @@ class Repeated:
         if nu == 0:
             value = value - self.once(first)
         c, s = np.cos(self.turns[lap]), np.sin(self.turns[lap])
-        turned = np.stack([c * value[..., 0] - s * value[..., 1], s * value[..., 0] + c * value[..., 1], value[..., 2]], -1)
+        turned = np.stack(
+            [c * value[..., 0] - s * value[..., 1], s * value[..., 0] + c * value[..., 1], value[..., 2]], -1
+        )
         return turned + self.places[lap] if nu == 0 else turned
 
 
@@ -70,7 +71,9 @@ def repeated(flight: Flight, duration_s: float) -> Flight:
     ends = np.array([path.start, path.end])
     attitude, moving = path.attitude(ends), np.abs([path.position(ends, 1), path.attitude(ends, 1)]).max()
     if moving > 1e-6 or np.abs(attitude[1, :2] - attitude[0, :2]).max() > 1e-6:
-        raise InputError(f"the motion '{flight.name}' does not begin and end at rest in one attitude, so it cannot be repeated")
+        raise InputError(
+            f"the motion '{flight.name}' does not begin and end at rest in one attitude, so it cannot be repeated"
+        )
     count = math.ceil(duration_s / path.duration - 1e-9)
     turn, way = attitude[1, 2] - attitude[0, 2], np.diff(path.position(ends), axis=0)[0]
     turns = turn * np.arange(count)

@@ -138,10 +138,11 @@ def nees_per_dof(errors: Array, covariance: Array, *, full: bool = False) -> Arr
         if pattern.any():
             e, P = errors[rows][:, pattern], covariance[rows][:, pattern][:, :, pattern]
             sd = np.sqrt(np.einsum("nii->ni", P))
-            last = P[-1] / np.outer(sd[-1], sd[-1])
-            if np.linalg.eigvalsh(last)[0] > SINGULAR:
+            ends = P[[0, -1]] / (sd[[0, -1], :, None] * sd[[0, -1], None, :])  # rounding parts what is one at either
+            regular = np.linalg.eigvalsh(ends).min() > SINGULAR
+            if regular:
                 out[rows] = nees(e, P) / pattern.sum()
-            if full or np.linalg.eigvalsh(last)[0] > SINGULAR:
+            if full or regular:
                 continue
             values, vectors = np.linalg.eigh(P / (sd[:, :, None] * sd[:, None, :]))
             free = values > SINGULAR

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -35,14 +36,14 @@ from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.world import OUTPUT_INTERVAL, Estimate, Scored, input_files, nearest_rows, static_logs, stream
 from insemu.filters import AidUse, InitialSigma, NavigationFilter, Standstill, TrueMotion
 from insemu.lost import restored
-from insemu.noise import NoiseModel, load_spread
+from insemu.noise import NoiseModel, Spread, load_spread
 from insemu.records import AXES, AidRecord, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Scenario
 from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
 
-#: Longest emulated flight, samples (28 h at 100 Hz), and the memory of one: reference, ideal and corrupted signals, filter.
+#: Longest flight that is held as a whole, samples (28 h at 100 Hz), and memory of a sample: reference, ideal and corrupted signals, filter.
 MAX_SAMPLES = 10_000_000
 BYTES_PER_SAMPLE = 8 * 60
 
@@ -91,8 +92,13 @@ class EmulatedWorld:
             duration_s=source.duration,
         )
         self.flight, self.track, self.warnings = loaded.flight, loaded.track, loaded.warnings
-        path = self.flight.path
-        length = path.end - path.start if source.duration is None else source.duration
+        self._fly()
+        self.warnings += self._missed_areas()
+
+    def _fly(self) -> None:
+        """Make the ideal signals and the reference."""
+        scenario, source, path = self.scenario, self.source, self.flight.path
+        length = self._end - path.start
         if length * source.rate > MAX_SAMPLES:
             raise InputError(
                 f"{length:g} s at {source.rate:g} Hz are {length * source.rate:.3g} samples, expected at most {MAX_SAMPLES:g}: they would take "
@@ -106,12 +112,11 @@ class EmulatedWorld:
             kind=source.kind,
             gravity=source.gravity,
             mounting=source.mounting,
-            span=None if source.duration is None else (path.start, min(path.end, path.start + length)),
+            span=None if source.duration is None else (path.start, self._end),
         )
         self.reference: Trajectory = ideal.reference
         self.imu: ImuRecord = ideal.imu
         self.path_distance_m: float = ideal.path_distance_m
-        self.warnings += self._missed_areas()
         count = self.pieces.count
         if count is not None and scenario.realizations > count:
             raise InputError(
@@ -119,6 +124,12 @@ class EmulatedWorld:
                 f"{count} non-overlapping pieces of that length",
                 where=f"{self._name}: truth.recorded",
             )
+
+    @property
+    def _end(self) -> float:
+        """Where the flight ends on the clock of its path, s."""
+        path, duration = self.flight.path, self.source.duration
+        return path.end if duration is None else min(path.end, path.start + duration)
 
     def __getstate__(self) -> dict[str, Any]:
         """For another process: simulated records are drawn there again, what was read from files travels."""
@@ -136,11 +147,16 @@ class EmulatedWorld:
         """Length of the trajectory, s."""
         return float(self.reference.t[-1] - self.reference.t[0])
 
+    @property
+    def _span(self) -> tuple[float, float]:
+        """First and last time of the IMU, s."""
+        return float(self.reference.t[0]), float(self.reference.t[-1])
+
     @cached_property
     def outages(self) -> list[Outage | AreaOutage]:
         """When and where there is no GNSS, the same in every realization."""
         gnss = self.scenario.gnss
-        start, end = float(self.reference.t[0]), float(self.reference.t[-1])
+        start, end = self._span
         for k, given in enumerate(gnss.outages):
             if given.end_s > end - start + 1e-9:
                 raise InputError(
@@ -205,17 +221,8 @@ class EmulatedWorld:
             ]
             return recorded_pieces(records, n, rate, truth.recorded.order)
         seed, models = self.scenario.seed, truth.models()
-        spreads = load_spread(self.files[truth.file]) if truth.spread and truth.file is not None else {}
-
-        def sensor(record: int) -> dict[str, NoiseModel]:
-            """The sensor of one switch-on."""
-            return {
-                axis: spreads[axis].drawn(model, stream(seed, "sensor", record, k)) if axis in spreads else model
-                for k, (axis, model) in enumerate(models.items())
-            }
-
         return simulated_pieces(
-            sensor if spreads else models,
+            self.sensor if truth.spread else models,
             n,
             rate,
             record_s=truth.record,
@@ -223,6 +230,21 @@ class EmulatedWorld:
             states_at=np.searchsorted(self.reference.t, self.output_times),
             covariates=covariates_of(self.imu, self.reference, truth.temperature, models.values()),
         )
+
+    def sensor(self, record: int) -> dict[str, NoiseModel]:
+        """True models of the axes in one record: one switch-on."""
+        models = self.truth.models()
+        return {
+            axis: self._spreads[axis].drawn(model, stream(self.scenario.seed, "sensor", record, k))
+            if axis in self._spreads
+            else model
+            for k, (axis, model) in enumerate(models.items())
+        }
+
+    @cached_property
+    def _spreads(self) -> Mapping[str, Spread]:
+        """How the true models differ from one switch-on to another, by axis."""
+        return load_spread(self.files[self.truth.file]) if self.truth.spread and self.truth.file is not None else {}
 
     def recording(self, realization: int, *, ideal: bool = False) -> Recording:
         """What the sensors give in one realization, with the reference.
@@ -373,7 +395,10 @@ class EmulatedWorld:
         Time offsets, jitter and dropped samples move the stamps; the filter's estimate belongs to the stamp.
         """
         truth = self.truth_at_outputs
-        if not np.array_equal(times, truth.t):
+        rows = np.searchsorted(truth.t, times).clip(0, len(truth) - 1)
+        if np.array_equal(times, truth.t[rows]):
+            truth = Trajectory(times, truth.llh[rows], truth.vel_ned[rows], truth.rpy[rows], truth.name)
+        else:
             at = np.clip(times, self.reference.t[0], self.reference.t[-1])
             llh, vel, q, _ = state_at(self.reference, at)
             truth = Trajectory(times, llh, vel, rotation.rpy_from_quaternion(q), self.reference.name)
