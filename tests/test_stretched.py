@@ -24,7 +24,8 @@ FLIGHT: dict[str, Any] = {
         "accel": "WN(N=90 ug/sqrt(Hz)) + RW(K=1 ug*sqrt(Hz)) + GM(sigma=1 mg, Tc=100 s, shared=warm)",
         "record": "2100 s",
     },
-    "gnss": {"position_sigma": "1 m", "velocity_sigma": "5 cm/s", "rate": "1 Hz", "lever_arm": ["1 m", 0, "-1 m"], "outages": [{"start": "300 s", "duration": "30.5 s"}]},
+    "gnss": {"position_sigma": "1 m", "velocity_sigma": "5 cm/s", "rate": "1 Hz", "lever_arm": ["1 m", 0, "-1 m"],
+        "outages": [{"start": "300 s", "duration": "30.5 s"}]},
     "designs": {
         "right": {"gyro": {"truth": True}, "accel": {"truth": True}},
         "slow": {"gyro": "WN(N=0.3 deg/s/sqrt(Hz))", "accel": {"truth": True}, "options": {"covariance_every": 5, "gate": 1e-4}},
@@ -80,13 +81,17 @@ def test_signals_are_those_of_the_whole(whole: Experiment, small: None, tmp_path
 
 
 def test_results_are_those_of_the_whole(whole: Experiment, small: None, tmp_path: Path) -> None:
-    """At the head of a stretch the first interval has no correction by the one before (coning, sculling): 1e-5 of the stated sigmas."""
+    """All but the correction of the first interval of a stretch by the one before (coning, sculling).
+
+    That is a sixth of the turn of one sample (0.1 deg/s/sqrt(Hz) at 50 Hz: 2.5e-4 rad) times its change of velocity (g dt = 0.2 m/s): 8e-6 m/s,
+    where the filters state some cm/s.
+    """
     path = written(tmp_path)
     experiment = pickle.loads(pickle.dumps(Experiment(load(path), path)))
     one, two = whole.realization(1), experiment.realization(1)
     assert set(one.data_vars) == set(two.data_vars)
     np.testing.assert_allclose(two["sigma"], one["sigma"], rtol=1e-5)
-    assert float((np.abs(two["error"] - one["error"]) / one["sigma"]).max()) < 1e-4
+    assert float((np.abs(two["error"] - one["error"]) / one["sigma"]).max()) < 1e-3
     for name in ("states", "fixes", "dof", "epochs", "rejected", "lag_count"):
         np.testing.assert_array_equal(two[name], one[name])
     for name in ("nis", "nees", "lag_sum", "axis_error", "axis_sigma", "observability"):
@@ -100,20 +105,28 @@ def test_the_length_of_stretches_does_not_matter(small: None, tmp_path: Path, mo
     for size in (4500, 20_000):
         monkeypatch.setattr(stretched, "STRETCH", size)
         found.append(run_experiment(Experiment(load(path), path), realizations=1).data)
-    assert float((np.abs(found[0]["error"] - found[1]["error"]) / found[0]["sigma"]).max()) < 1e-4
+    assert float((np.abs(found[0]["error"] - found[1]["error"]) / found[0]["sigma"]).max()) < 1e-3
 
 
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
         ({"smoother": True}, "smoother"),
-        ({"truth": FLIGHT["truth"] | {"effects": ["saturation"]}}, "truth.effects"),
+        (
+            {
+                "truth": FLIGHT["truth"]
+                | {"effects": [{"effect": "quantization", "sensor": "gyro", "lsb": "0.01 deg/s"}]}
+            },
+            "truth.effects",
+        ),
         ({"designs": {"a": FLIGHT["designs"]["right"] | {"filter": "reference"}}}, r"designs\.a\.filter"),
     ],
 )
 def test_what_needs_a_whole_flight_is_refused(small: None, tmp_path: Path, changes: dict[str, Any], told: str) -> None:
     path = written(tmp_path, **changes)
-    with pytest.raises(InputError, match=f"flown in stretches, which is not possible with {told}; expected at most 1000"):
+    with pytest.raises(
+        InputError, match=f"flown in stretches, which is not possible with {told}; expected at most 1000"
+    ):
         Experiment(load(path), path)
 
 

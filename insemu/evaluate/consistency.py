@@ -138,16 +138,23 @@ def nees_per_dof(errors: Array, covariance: Array, *, full: bool = False) -> Arr
         if pattern.any():
             e, P = errors[rows][:, pattern], covariance[rows][:, pattern][:, :, pattern]
             sd = np.sqrt(np.einsum("nii->ni", P))
-            ends = P[[0, -1]] / (sd[[0, -1], :, None] * sd[[0, -1], None, :])  # rounding parts what is one at either
-            regular = np.linalg.eigvalsh(ends).min() > SINGULAR
-            if regular:
-                out[rows] = nees(e, P) / pattern.sum()
-            if full or regular:
-                continue
-            values, vectors = np.linalg.eigh(P / (sd[:, :, None] * sd[:, None, :]))
-            free = values > SINGULAR
-            seen = np.einsum("nij,ni->nj", vectors, e / sd) ** 2
-            out[rows] = np.where(free, seen / np.where(free, values, 1.0), 0.0).sum(axis=1) / free.sum(axis=1)
+            correlation = P / (sd[:, :, None] * sd[:, None, :])
+            regular = np.linalg.eigvalsh(correlation[[0, -1]])[:, 0] > SINGULAR
+            # what is one at the start and parts later is looked at epoch by epoch
+            regular = (
+                np.linalg.eigvalsh(correlation)[:, 0] > SINGULAR
+                if regular[0] != regular[1]
+                else regular[:1].repeat(len(e))
+            )
+            found = np.full(len(e), np.nan)
+            if regular.any():
+                found[regular] = nees(e[regular], P[regular]) / pattern.sum()
+            if not full and not regular.all():
+                values, vectors = np.linalg.eigh(correlation[~regular])
+                free = values > SINGULAR
+                seen = np.einsum("nij,ni->nj", vectors, (e / sd)[~regular]) ** 2
+                found[~regular] = np.where(free, seen / np.where(free, values, 1.0), 0.0).sum(axis=1) / free.sum(axis=1)
+            out[rows] = found
     return out
 
 

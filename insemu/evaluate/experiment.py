@@ -374,9 +374,9 @@ class Experiment:
                 found, run = self._onward(
                     name, part, self.believed(name, fixes), begun[name], unaided[name][part.outputs]
                 )
-                end = run.nav[-1]
+                end = run.nav[-1].copy()  # of a view the rows of the whole stretch would stay
                 state = NavState(end[:3], end[3:6], rotation.rpy_from_quaternion(end[6:10]))
-                begun[name] = state, run.final_covariance, run.imu_states[-1]
+                begun[name] = state, run.final_covariance, run.imu_states[-1].copy()
                 told[name].append(found)
                 # what is counted at the end needs no more than the fixes
                 runs[name].append(replace(run, nav=end[None], sigma=end[None], imu_states=end[None], covariance=end))

@@ -15,7 +15,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from insemu import __version__
-from insemu.report.charts import Chart, asset, embedded, script, script_hash
+from insemu.report.charts import Chart, Ledger, asset, embedded, script, script_hash
 from insemu.whole import put
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ class Form:
     blocks: Sequence[Block]
 
 
-Block = Form | Text | Items | Table | Figure | Code | Chart | Folded
+Block = Form | Text | Items | Table | Ledger | Figure | Code | Chart | Folded
 
 
 @dataclass(frozen=True)
