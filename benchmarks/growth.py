@@ -102,12 +102,10 @@ def logs(folder: Path) -> None:
     for samples, axes in [*((n, 1) for n in SAMPLES), (SAMPLES[1], 6)]:
         file = folder / f"log_{samples}_{axes}.npy"
         shape = (samples,) if axes == 1 else (samples, axes)
-        log = np.lib.format.open_memmap(file, mode="w+", dtype=np.float64, shape=shape)
-        for first in range(0, samples, 1 << 20):
-            part = log[first : first + (1 << 20)]
-            part[:] = 1e-3 * rng.standard_normal(part.shape)
-        log.flush()
-        del log
+        with file.open("wb") as handle:  # not mapped: a process that is started counts what its parent held
+            np.lib.format.write_array_header_1_0(handle, {"descr": "<f8", "fortran_order": False, "shape": shape})
+            for first in range(0, samples, 1 << 20):
+                handle.write((1e-3 * rng.standard_normal((min(1 << 20, samples - first), *shape[1:]))).tobytes())
         for arguments in (
             ("characterise", file.name, "--rate", "100 Hz", "--out", "characterised"),
             ("fit", file.name, "--rate", "100 Hz", "--model", "WN() + RW()", "--workers", "1"),
