@@ -131,6 +131,6 @@ def test_a_fit_in_pieces_is_the_fit_of_the_whole(tmp_path: Path, monkeypatch: py
         said.append(json.loads(capsys.readouterr().out)["axes"])
     assert set(said[0]) == set(said[1]) == {"gyro_x", "accel_x"}
     for axis, one in said[0].items():
-        assert one["samples"] == said[1][axis]["samples"] == 19_000
+        assert one["n_samples"] == said[1][axis]["n_samples"] == 19_000
         for p, q in zip(one["parameters"], said[1][axis]["parameters"], strict=True):
             assert p["value"] == pytest.approx(q["value"], rel=1e-4)

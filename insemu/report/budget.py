@@ -15,7 +15,7 @@ from insemu.report.style import COLOURS
 
 Windows = Sequence[tuple[float, float]]
 #: Outages that have a bar: the last, and so many of those with the largest errors.
-BARS_OF = 40
+BARS_OF = 20
 #: Parts below this share of every bar are drawn together.
 SMALL = 0.02
 BARS = (

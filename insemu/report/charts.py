@@ -218,7 +218,7 @@ class Ledger:
     left : int
         Columns that are aligned left, from the first.
     charts : sequence of Chart
-        Each of one view; what a row draws.
+        Each of one view and with an x of its own; what a row draws.
     chart_of : sequence of int
         Which of them belongs to each row.
     """
@@ -240,7 +240,7 @@ class Ledger:
                 [
                     c.name,
                     c.spans,
-                    _numbers(c.views[0].x if c.x is None else c.x, 4),
+                    _numbers(np.asarray(c.x, dtype=float), 4),
                     *(_numbers(line.y, 3) for line in c.views[0].lines),
                 ]
                 for c in self.charts

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 #: Epochs of a chart outside outages, and in each of them, at most: a page of moderate size.
 MOST_EPOCHS, MOST_INSIDE = 400, 120
 #: Outages above which a page shows them when they are asked for; points of all of them together in a chart over time; numbers of their own charts.
-MANY, ALL_INSIDE, OUTAGE_NUMBERS = 40, 1200, 60_000
+MANY, ALL_INSIDE, OUTAGE_NUMBERS = 20, 1200, 60_000
 #: Realizations that a reader can choose from.
 SHOWN_ALONE = 5
 
@@ -80,11 +80,11 @@ def outage_charts(results: Results) -> list[Chart]:
     """Planimetric rms error of every design in each outage, and the sigma that it states: to be drawn when asked for."""
     count = len(results.outages) * (2 * len(results.names) + 1)
     points = int(np.clip(OUTAGE_NUMBERS // max(count, 1), 6, MOST_INSIDE))
-    drawn = [
-        (design, colour(d), *(_horizontal(_root(results, f"{what}_square", d)) for what in ("error", "sigma")))
-        for d, design in enumerate(results.names)
-    ]
-    out = []
+    drawn: list[tuple[str, str, Array, Array]] = []
+    for d, design in enumerate(results.names):
+        rms, stated = (_horizontal(_root(results, f"{what}_square", d)) for what in ("error", "sigma"))
+        drawn.append((design, colour(d), rms, stated))
+    out: list[Chart] = []
     for k, (start, duration) in enumerate(results.outages):
         end = results.end_index(k)
         first = min(int(np.searchsorted(results.t, start - 0.2 * duration)), end)
@@ -254,8 +254,8 @@ def flight_chart(results: Results) -> Chart:
         t, hidden = results.t[at], np.zeros(at.size, dtype=bool)
         for start, duration in results.outages:
             hidden |= (t >= start) & (t <= start + duration + 1e-6)
-        inside = track("outages", plan, at, RED, 3.5)
-        lines.append(replace(inside, y=np.where(hidden, np.asarray(inside.y), np.nan), points=True))
+        every = track("outages", plan, at, RED, 3.5)
+        lines.append(replace(every, y=np.where(hidden, np.asarray(every.y), np.nan), points=True))
     for k, (start, duration) in enumerate(() if many(results) else results.outages):
         inside = np.flatnonzero(within_outage(results.t, start, duration))
         if not inside.size:
