@@ -416,7 +416,7 @@ def limits() -> list[str]:
         ("rate of an IMU, Hz", MAX_RATE, "scenario.schema.MAX_RATE"),
         ("length of an emulated or simulated record, s", MAX_DURATION, "scenario.schema.MAX_DURATION"),
         ("realizations", MAX_REALIZATIONS, "scenario.schema.MAX_REALIZATIONS"),
-        ("samples of a flight of an experiment", emulated.MAX_SAMPLES, "evaluate.emulated.MAX_SAMPLES"),
+        ("samples of a flight that is held as a whole", emulated.MAX_SAMPLES, "evaluate.emulated.MAX_SAMPLES"),
         ("samples of an emulated recording, nodes of a path", table.MOST_NODES, "emulate.table.MOST_NODES"),
         ("outages drawn at random", gnss.MOST_OUTAGES, "emulate.gnss.MOST_OUTAGES"),
         ("height that a motion command may ask for, m", motion.HIGHEST, "emulate.commands.HIGHEST"),

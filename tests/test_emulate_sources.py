@@ -508,8 +508,11 @@ def test_headings_may_name_units_in_two_ways(tmp_path):
         read_waypoints(file)
 
 
-def test_a_table_at_rest_lasts_as_long_as_asked_and_a_flight_that_is_shorter_is_refused() -> None:
+def test_a_table_at_rest_lasts_as_long_as_asked_and_a_file_that_is_shorter_is_refused(tmp_path) -> None:
     assert emulate.load_flight(builtin="static", duration_s=2400.0).flight.path.duration == 2400.0
     assert emulate.load_flight(builtin="helicopter_mapping", duration_s=1200.0).flight.path.duration == 1200.0
-    with pytest.raises(InputError, match="helicopter_mapping: the motion ends after 1200 s, but a duration of 2400 s"):
-        emulate.load_flight(builtin="helicopter_mapping", duration_s=2400.0)
+    file = tmp_path / "motion.csv"
+    file.write_text(START + "1,0,0,0,0,0,0,20,1\n")
+    assert emulate.load_flight(motion=file, duration_s=20.0).flight.path.duration == 20.0
+    with pytest.raises(InputError, match=r"motion.csv: the motion ends after 20 s, but a duration of 40 s"):
+        emulate.load_flight(motion=file, duration_s=40.0)

@@ -156,7 +156,7 @@ def test_a_block_is_drawn_as_it_says() -> None:
     rng = np.random.default_rng(5)
     x = np.empty((400, 200))
     for row in x:
-        Process.fill(process, row, DT, rng)
+        Process.source(process, row.size, DT, rng)(row)
     gamma = process.autocovariance(np.arange(4), DT)
     for lag in range(4):
         means = np.mean(x[:, : 200 - lag] * x[:, lag:], axis=1)

@@ -143,13 +143,14 @@ def command(
         runs = [read_static(name, rate, columns, skip) for name in files]
         fit_many(runs, [model, *(alternatives or [])], bootstrap=bootstrap, seed=seed, out=out, as_json=as_json)
         return
+    options = options_of(method, wavelet, weighting, seed, pattern, (tau_from, tau_to or math.inf))
+    pieces = (method == "mli" and pattern == "uniform") or (method == "gmwm" and wavelet == "haar" and not robust)
     streamed = (
-        None
-        if page or method != "mli" or pattern != "uniform"
-        else fit_streamed(file, rate, columns, skip, model, start)
+        fit_streamed(file, rate, columns, skip, model, start, method, options)
+        if pieces and per_axis and not page
+        else None
     )
     series = [] if streamed else read_static(file, rate, columns, skip)
-    options = options_of(method, wavelet, weighting, seed, pattern, (tau_from, tau_to or math.inf))
     own = denoising(denoise, method, [s.name for s in series]) if denoise else {}
     with counting(Console(stderr=True), f"fitting by {method}", len(series)) as finished:
         if streamed:
@@ -236,32 +237,63 @@ def read_static(file: str, rate: str, columns: list[str] | None, skip: str = "0 
 
 
 def fit_streamed(
-    file: str, rate: str, columns: list[str] | None, skip: str, model: str, start: str
+    file: str,
+    rate: str,
+    columns: list[str] | None,
+    skip: str,
+    model: str,
+    start: str,
+    method: str,
+    options: Mapping[str, Any],
 ) -> dict[str, FitResult] | None:
-    """Integrated maximum likelihood of a long ``.npy`` log, which is read in pieces and never held; None for any other."""
+    """Fits of a long ``.npy`` or ``.npz`` log, which is read in pieces and never held; None for any other, and where samples are missing.
+
+    Parameters
+    ----------
+    file, rate, columns, skip, model, start
+        As of the command.
+    method : {"gmwm", "mli"}
+    options : mapping
+        Of gmwm.
+    """
     from pathlib import Path
 
     from insemu import formats, units
     from insemu.cli.logs import column_names
     from insemu.errors import InputError
-    from insemu.fit import LARGE, fit_mli_pieces
+    from insemu.fit import LARGE, fit, fit_mli_pieces
+    from insemu.logs import LONG
     from insemu.noise import NoiseModel
+    from insemu.variance import stream_wavelet_variance
 
-    if Path(file).suffix != ".npy":
+    if Path(file).suffix not in (".npy", ".npz") or formats.holds_recording(Path(file)):
         return None
     log = formats.read_log(file, rate_hz=units.parse(rate, "Hz") if rate else None, columns=column_names(columns))
     first = round(units.parse(skip, "s") * log.rate_hz)
-    if len(log) <= LARGE or not 0 <= first <= len(log) - LEAST:
+    least = LARGE if method == "mli" else LONG
+    if len(log) <= least or not 0 <= first <= len(log) - LEAST or log.gaps():
         return None
     out: dict[str, FitResult] = {}
+    children = options["rng"].spawn(len(log.names)) if "rng" in options else [None] * len(log.names)
     for k, (column, unit) in enumerate(zip(log.names, log.units, strict=True)):
         name = formats.AXIS_OF_COLUMN.get(column, column)
         try:
             asked = NoiseModel.parse(model, unit)
             begin = NoiseModel.parse(start, unit) if start else None
-            out[name] = fit_mli_pieces(
-                log.chunks(k, first=first), len(log) - first, log.rate_hz, asked, start=begin, unit=unit, name=name
-            )
+            pieces = log.chunks(k, first=first)
+            if method == "mli":
+                out[name] = fit_mli_pieces(
+                    pieces, len(log) - first, log.rate_hz, asked, start=begin, unit=unit, name=name
+                )
+                continue
+            if any(p.shared for p in asked):
+                return None
+            try:
+                curve = stream_wavelet_variance(pieces, log.rate_hz)
+            except InputError:  # samples are missing
+                return None
+            given = {key: value for key, value in options.items() if key != "wavelet"} | {"rng": children[k]}
+            out[name] = fit(curve, asked, unit=unit, name=name, start=begin, **given)
         except InputError as error:
             raise InputError(error.message, where=f"{file}: {name}") from None
     return out

@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from insemu.filters import Gpu
 
 
+#: Outages of which error budgets are made: each goes back through the flight, so that those of n outages take n times the flight.
+MOST_BUDGETS = 100
+
+
 def command(
     scenario: str = typer.Argument(..., metavar="SCENARIO", help="Scenario file (YAML)."),
     realizations: int | None = typer.Option(
@@ -410,7 +414,7 @@ def with_budgets(experiment: Experiment, results: Results, workers: int = 1) -> 
 
     from insemu.evaluate import analysable, analyse_designs, outage_budgets
 
-    if not results.outages or not analysable(experiment)[0]:
+    if not 0 < len(results.outages) <= MOST_BUDGETS or not analysable(experiment)[0]:
         return results
     return replace(results, budgets=outage_budgets(analyse_designs(experiment, workers=workers), results.outages))
 

@@ -50,7 +50,7 @@ class _Process(Effect):
         for axis, (row, child) in enumerate(zip(chain.rows(use.sensor), rng.spawn(3), strict=True)):
             process = self.process_of(use, axis)
             if any(v != 0.0 for name, v in process.parameters.items() if name not in ("beta", "Tc")):
-                process.fill(chain.work, chain.dt, child)
+                process.source(chain.work.size, chain.dt, child)(chain.work)
                 row += chain.work
 
 
@@ -145,7 +145,7 @@ class SharedProcess(_Process):
 
     def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
         """Add one draw to every axis at its level."""
-        GM(1.0, use.scalar("beta")).fill(chain.work, chain.dt, rng)
+        GM(1.0, use.scalar("beta")).source(chain.work.size, chain.dt, rng)(chain.work)
         for row, level in zip(chain.rows(use.sensor), use["sigma"], strict=True):
             row += level * chain.work
 

@@ -7,10 +7,10 @@ from insemu.emulate.differenced import Differenced, difference
 from insemu.emulate.errors import RecordedErrors
 from insemu.emulate.flight import Flight, gusts, moving_share, origin_at
 from insemu.emulate.gnss import AreaOutage, Outage, antenna, fixes_at, gnss_fixes, random_outages, state_at
-from insemu.emulate.imu import IdealImu, ideal_imu, navigation_error
+from insemu.emulate.imu import IdealImu, ideal_imu, ideal_stretches, navigation_error
 from insemu.emulate.motion import Command, path_of, profile
 from insemu.emulate.path import Mounting, SmoothPath
-from insemu.emulate.pieces import ErrorPieces, TrueStates, recorded_pieces, simulated_pieces
+from insemu.emulate.pieces import ErrorPieces, Following, TrueStates, recorded_pieces, simulated_pieces
 from insemu.emulate.reckon import DeadReckoning, dead_reckon
 from insemu.emulate.sensor import Corrupted, TemperatureProfile, corrupt, covariates_of
 from insemu.emulate.sources import Source, load_flight, read_track
@@ -29,6 +29,7 @@ __all__ = [
     "Differenced",
     "ErrorPieces",
     "Flight",
+    "Following",
     "IdealImu",
     "Mounting",
     "Outage",
@@ -51,6 +52,7 @@ __all__ = [
     "gusts",
     "held_out_distance",
     "ideal_imu",
+    "ideal_stretches",
     "load_flight",
     "moving_share",
     "navigation_error",

@@ -18,6 +18,8 @@ from insemu.records import GnssRecord, Trajectory
 Array = NDArray[np.float64]
 #: Most random outages of a flight.
 MOST_OUTAGES = 1e5
+#: Times at which a trajectory is interpolated at a time.
+_AT_A_TIME = 1 << 14
 
 
 @dataclass(frozen=True)
@@ -120,9 +122,22 @@ def state_at(trajectory: Trajectory, t: ArrayLike) -> tuple[Array, Array, Array,
     -------
     llh (n, 3), vel_ned (n, 3), q (n, 4), w_nb_b (n, 3)
     """
-    t = np.asarray(t, dtype=float)
+    t, last = np.asarray(t, dtype=float), len(trajectory) - 1
+    k = np.clip(np.searchsorted(trajectory.t, t + 1e-9, side="right") - 1, 0, last - 1)
+    parts = []
+    for first in range(0, max(t.size, 1), _AT_A_TIME):
+        own = slice(first, first + _AT_A_TIME)
+        # what these times look at; of no time at all two nodes
+        near = np.unique(np.append((k[own, None] + np.arange(-1, 3)).clip(0, last), [0, 1]))
+        some = Trajectory(trajectory.t[near], trajectory.llh[near], trajectory.vel_ned[near], trajectory.rpy[near])
+        parts.append(_between(some, t[own], np.searchsorted(near, k[own])))
+    llh, v, q, w = (np.concatenate(found) for found in zip(*parts, strict=True))
+    return llh, v, q, w
+
+
+def _between(trajectory: Trajectory, t: Array, k: NDArray[np.intp]) -> tuple[Array, Array, Array, Array]:
+    """The states at times (n,) after nodes (n,); of the nodes that do not follow each other nothing is used."""
     nodes = trajectory.t
-    k = np.clip(np.searchsorted(nodes, t + 1e-9, side="right") - 1, 0, nodes.size - 2)
     dt = nodes[k + 1] - nodes[k]
     u = np.clip((t - nodes[k]) / dt, 0.0, 1.0)
     u = np.where(np.abs(u) * dt < 1e-9, 0.0, np.where(np.abs(1.0 - u) * dt < 1e-9, 1.0, u))[:, None]

@@ -11,7 +11,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -67,13 +68,23 @@ def sample_times(start: float, end: float, rate_hz: float) -> Array:
     rate_hz : float
         Hz.
     """
+    count = _intervals(start, end, rate_hz)
+    check_size(count, SAMPLE_BYTES, f"{end - start:.6g} s at {rate_hz:g} Hz")
+    return _times(start, end, rate_hz, range(count + 1))
+
+
+def _intervals(start: float, end: float, rate_hz: float) -> int:
+    """Whole intervals of a constant rate from ``start`` to ``end`` s."""
     if not (np.isfinite(rate_hz) and rate_hz > 0):
         raise InputError(f"the rate is {rate_hz} Hz, expected a positive number")
-    check_size((end - start) * rate_hz, SAMPLE_BYTES, f"{end - start:.6g} s at {rate_hz:g} Hz")
     count = int(np.floor((end - start) * rate_hz + 1e-6))
     if count < 1:
         raise InputError(f"{end - start:.6g} s at {rate_hz:g} Hz is less than one interval")
-    return np.minimum(start + np.arange(count + 1) / rate_hz, end)
+    return count
+
+
+def _times(start: float, end: float, rate_hz: float, rows: range) -> Array:
+    return np.minimum(start + np.arange(rows.start, rows.stop) / rate_hz, end)
 
 
 def ideal_imu(
@@ -136,7 +147,51 @@ def ideal_imu(
         nodes = _imu_nodes(trajectory, t, mount)
     if kind == "sample":
         raise InputError("mode 'exact' makes increments or means; instantaneous samples need mode 'continuous'")
-    return _exact(nodes, kind, gravity)
+    return _exact(nodes, kind, gravity)[0]
+
+
+def ideal_stretches(
+    path: SmoothPath,
+    rate_hz: float,
+    size: int,
+    *,
+    end_s: float,
+    mode: Mode = "exact",
+    kind: ImuKind = "increment",
+    mounting: Mounting | None = None,
+    gravity: str = "normal",
+) -> Iterator[IdealImu]:
+    """What :func:`ideal_imu` makes from the start of a path in stretches, up to rounding: the last row of one is the first of the next.
+
+    Parameters
+    ----------
+    path : SmoothPath
+    rate_hz : float
+    size : int
+        Intervals of a stretch, at most; two or more.
+    end_s : float
+        Where it ends, s.
+    mode, kind, mounting, gravity
+        As of :func:`ideal_imu`.
+
+    Raises
+    ------
+    InputError
+        As :func:`ideal_imu`.
+    """
+    mount, count = mounting or Mounting(), _intervals(path.start, end_s, rate_hz)
+    known: _Known | None = None
+    for first in range(0, count, size):
+        # a row more in front: what an interval needs of the one before
+        begin, last = max(first - 1, 0), min(first + size, count)
+        t = _times(path.start, end_s, rate_hz, range(begin, last + 1))
+        if mode == "continuous":
+            ideal = _continuous(path, t, kind, mount, gravity)
+        else:
+            ideal, known = _exact(_imu_nodes(path, t, mount), kind, gravity, known)
+        r, own = ideal.reference, slice(first - begin, None)
+        reference = Trajectory(r.t[own], r.llh[own], r.vel_ned[own], r.rpy[own], r.name)
+        yield replace(ideal, imu=ideal.imu.rows(own), reference=reference)
 
 
 def _imu_nodes(path: SmoothPath, t: Array, mount: Mounting) -> Trajectory:
@@ -146,28 +201,37 @@ def _imu_nodes(path: SmoothPath, t: Array, mount: Mounting) -> Trajectory:
     return Trajectory(t, motion.llh, motion.vel_ned, motion.rpy, path.name)
 
 
-def _exact(nodes: Trajectory, kind: ImuKind, gravity: str) -> IdealImu:
+#: Increments and navigation states of the last two rows.
+_Known = tuple[Array, Array, Array]
+
+
+def _exact(nodes: Trajectory, kind: ImuKind, gravity: str, known: _Known | None = None) -> tuple[IdealImu, _Known]:
+    """The inversion of nodes; ``known``: of their first two rows, which it goes on from."""
     n = len(nodes)
     if n < 2:
         raise InputError(f"the trajectory has {n} node(s), expected at least two")
     target = np.concatenate([nodes.llh, nodes.vel_ned, rotation.quaternion_from_rpy(nodes.rpy)], axis=1)
     gyro, accel, nav = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, strapdown.NAV_SIZE))
-    invert(nodes.t, target, earth.gravity_code(gravity), 1, gyro, accel, nav)
+    if known is not None:
+        gyro[:2], accel[:2], nav[:2] = known
+    invert(nodes.t, target, earth.gravity_code(gravity), 1, gyro, accel, nav, 1 if known is None else 2)
     if not np.isfinite(nav[-1]).all():
         raise InputError(
             "the trajectory cannot be inverted: its states are not finite (more than half a revolution per sample?)"
         )
     rpy = rotation.rpy_from_quaternion(nav[:, 6:10])
-    rpy[0] = nodes.rpy[0]  # so that a start from the reference is the very same start
+    if known is None:
+        rpy[0] = nodes.rpy[0]  # so that a start from the reference is the very same start
     reference = Trajectory(nodes.t, nav[:, 0:3], nav[:, 3:6], rpy, nodes.name)
     missed = np.abs(nav[:, 3:6] - nodes.vel_ned).max()
     if missed > 1e-6:
         raise InputError(f"the trajectory cannot be inverted: the velocity nodes are missed by {missed:.3g} m/s")
+    known = gyro[-2:].copy(), accel[-2:].copy(), nav[-2:].copy()
     distance = float(np.linalg.norm(earth.position_difference(reference.llh, nodes.llh), axis=1).max())
     if kind == "mean":
         step = np.diff(nodes.t, prepend=2 * nodes.t[0] - nodes.t[1])[:, None]
         gyro, accel = gyro / step, accel / step
-    return IdealImu(ImuRecord(nodes.t, gyro, accel, kind), reference, "exact", gravity, distance)
+    return IdealImu(ImuRecord(nodes.t, gyro, accel, kind), reference, "exact", gravity, distance), known
 
 
 def _continuous(path: SmoothPath, t: Array, kind: ImuKind, mount: Mounting, gravity: str) -> IdealImu:

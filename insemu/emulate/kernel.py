@@ -70,7 +70,9 @@ def _rotation_to(a: Array, b: Array, zx: float, zy: float, zz: float, out: Array
 
 
 @njit(cache=True, nogil=True)
-def invert(t: Array, target: Array, gravity: int, passes: int, gyro: Array, accel: Array, nav: Array) -> None:
+def invert(
+    t: Array, target: Array, gravity: int, passes: int, gyro: Array, accel: Array, nav: Array, begin: int
+) -> None:
     """Find the increments that the mechanization turns into given velocities and attitudes.
 
     Deadbeat: every interval starts from the state that the mechanization itself has reached with the increments found
@@ -88,16 +90,20 @@ def invert(t: Array, target: Array, gravity: int, passes: int, gyro: Array, acce
     passes : int
         Corrections by the step itself after the analytic guess.
     gyro, accel : (n, 3) arrays
-        Increments, overwritten; row 0 repeats row 1.
+        Increments, overwritten from row ``begin`` on; row 0 repeats row 1.
     nav : (n, 10) array
-        States reached, overwritten.
+        States reached, overwritten from row ``begin`` on.
+    begin : int
+        First row that is looked for: 1, or 2 where an inversion goes on from two rows that are known.
     """
     n = t.size
-    nav[0] = target[0]
+    if begin == 1:
+        for i in range(10):
+            nav[0, i] = target[0, i]
     state = np.empty(10)
     m = np.empty((3, 3))
     rhs, u, phi, zb, e = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    for k in range(1, n):
+    for k in range(begin, n):
         here = nav[k - 1]
         goal = target[k]
         dt = t[k] - t[k - 1]
@@ -168,5 +174,5 @@ def invert(t: Array, target: Array, gravity: int, passes: int, gyro: Array, acce
         step(state, dtheta, dvel, gyro_prev, accel_prev, dt, dt_prev, gravity)
         for i in range(state.size):
             nav[k, i] = state[i]
-    for i in range(3):
+    for i in range(3 if begin == 1 else 0):
         gyro[0, i], accel[0, i] = gyro[1, i], accel[1, i]

@@ -8,6 +8,7 @@ with continuous angular acceleration.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
@@ -24,6 +25,17 @@ Array = NDArray[np.float64]
 #: 40 knots a second, 3 Hz and 0.02 rad come back at 37 Hz with less than 1e-7 rad/s, a millionth of a car's own turn rates.
 KNOT_S = 0.025
 _DEGREE = 5
+
+
+class Curve(Protocol):
+    """Three functions of time: a :class:`~scipy.interpolate.PPoly`, or what goes through one several times."""
+
+    @property
+    def x(self) -> Array:
+        """Times of its pieces, s; the first and the last are its span."""
+
+    def __call__(self, t: ArrayLike, nu: int = 0) -> Array:
+        """Values (n, 3) at times (n,) in s, or their derivatives of an order."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +61,9 @@ class SmoothPath:
 
     Parameters
     ----------
-    position : PPoly
+    position : Curve
         Metres north, east, up of the origin as functions of time in s.
-    attitude : PPoly
+    attitude : Curve
         Roll, pitch, heading in rad.
     origin : (3,) array
         Latitude rad, longitude rad, height m where the map coordinates are zero.
@@ -59,8 +71,8 @@ class SmoothPath:
         Appears in tables.
     """
 
-    position: scipy.interpolate.PPoly
-    attitude: scipy.interpolate.PPoly
+    position: Curve
+    attitude: Curve
     origin: Array
     name: str = "path"
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tempfile
 import weakref
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
@@ -21,10 +21,12 @@ from numpy.typing import NDArray
 from insemu.augment import augment, process_states
 from insemu.emulate.errors import RecordedErrors
 from insemu.errors import InputError
-from insemu.noise import WN, CommonDraws, NoiseModel
+from insemu.noise import WN, CommonDraws, NoiseModel, Source, sources
 from insemu.records import AXES
 
 Array = NDArray[np.float64]
+#: Samples that are drawn at a time and thrown away.
+_DRAWN = 1 << 17
 
 
 @dataclass(frozen=True)
@@ -169,6 +171,65 @@ def _closed(file: IO[bytes]) -> None:
     """Close a file whose last bytes may have found no room: that has been said."""
     with suppress(OSError):
         file.close()
+
+
+class Following:
+    """Errors of one realization sample after sample, the numbers that :func:`simulated_pieces` gives, however many are asked for at a time.
+
+    Parameters
+    ----------
+    models : mapping
+        Axis to model, with their rates; none follows a covariate.
+    rng : callable
+        ``axis -> Generator``, called once more where a mean is taken.
+    dt : float
+        Sampling interval, s.
+    intervals, length, place : int
+        Samples of a piece and of a record, and which piece of its record it is.
+    centred : bool
+        Whether the mean of the record is taken off.
+    """
+
+    def __init__(
+        self,
+        models: Mapping[str, NoiseModel],
+        rng: Callable[[int], np.random.Generator],
+        dt: float,
+        intervals: int,
+        length: int,
+        place: int,
+        *,
+        centred: bool,
+    ) -> None:
+        self._models = {axis: models[axis] for axis in AXES}
+        self._mean = np.zeros(6)
+
+        def begun() -> list[Sequence[Source]]:
+            return [sources(model, length, dt, rng(k)) for k, model in enumerate(self._models.values())]
+
+        if centred:
+            self._sources = begun()
+            self._mean = sum((part.sum(axis=0) for part in self._thrown(length)), np.zeros(6)) / length
+        self._sources = begun()
+        for _ in self._thrown(place * intervals):
+            pass
+
+    def _thrown(self, count: int) -> Iterator[Array]:
+        for first in range(0, count, _DRAWN):
+            yield self(min(_DRAWN, count - first))[0]
+
+    def __call__(self, count: int) -> tuple[Array, Array]:
+        """The next (count, 6) errors, and what they are apart from white noise."""
+        errors, slow, common = np.zeros((count, 6)), np.zeros((count, 6)), CommonDraws(self._models)
+        part = np.empty(count)
+        for k, (axis, model) in enumerate(self._models.items()):
+            for place, (process, source) in enumerate(zip(model, self._sources[k], strict=True)):
+                source(part)
+                common.share(axis, part[None], place)
+                errors[:, k] += part
+                if not isinstance(process, WN):
+                    slow[:, k] += part
+        return errors - self._mean, slow - self._mean
 
 
 class _Simulated:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from insemu.emulate.commands import read_motion
 from insemu.emulate.flight import Flight
+from insemu.emulate.laps import repeated
 from insemu.emulate.motion import Leg
 from insemu.emulate.table import read_columns, text_of
 from insemu.emulate.track import SmoothedTrack, Track, smooth_track
@@ -75,7 +76,7 @@ def load_flight(
     max_gap_s : float
         Longest gap of a track that is bridged.
     duration_s : float, optional
-        How much of it is wanted, s: a table at rest is made that long, any other source must last so long.
+        How much of it is wanted, s: a table at rest is made that long, another built-in motion is repeated, a file must last so long.
 
     Raises
     ------
@@ -87,7 +88,9 @@ def load_flight(
     source = _load(builtin, waypoints, track, motion, vehicle, speed, max_gap_s)
     length = source.flight.path.end - source.flight.path.start
     if duration_s is not None and duration_s > length + 1e-6:
-        name = builtin or next(str(p) for p in (waypoints, track, motion) if p is not None)
+        if builtin is not None:
+            return Source(repeated(source.flight, duration_s))
+        name = next(str(p) for p in (waypoints, track, motion) if p is not None)
         raise InputError(
             f"the motion ends after {length:g} s, but a duration of {duration_s:g} s is asked for", where=name
         )

@@ -10,6 +10,7 @@ from insemu.evaluate.dataset import bytes_per_epoch
 from insemu.evaluate.emulated import BYTES_PER_SAMPLE
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.running import FULL, most
+from insemu.evaluate.stretched import STRETCH, StretchedWorld
 
 #: Filter epochs that one core does in a second: 15 to 45 states, see benchmarks/filters.py.
 EPOCHS_PER_SECOND = (0.4e6, 1.2e6)
@@ -47,11 +48,12 @@ def effort(experiments: Sequence[Experiment], workers: int) -> str:
     for e in experiments:
         at_a_time = min(workers * most(e), e.realizations)
         samples = e.samples
+        held = min(samples, float(STRETCH)) if isinstance(e.world, StretchedWorld) else samples
         epochs += samples * e.realizations * len(e.scenario.designs)
         kept += (
-            samples * BYTES_PER_SAMPLE
+            held * BYTES_PER_SAMPLE
         )  # the worlds of all experiments are there from the start, their results to the end
-        flying = max(flying, samples * BYTES_PER_SAMPLE * at_a_time)
+        flying = max(flying, held * BYTES_PER_SAMPLE * at_a_time)
         rows = len(e.world.truth_at_outputs) * len(e.scenario.designs) * min(e.realizations, FULL)
         results = float(rows * bytes_per_epoch(states=STATES, smoother=e.scenario.smoother))
         kept += results

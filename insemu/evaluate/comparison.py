@@ -16,6 +16,7 @@ from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.errors import PairedComparison, paired_ratio
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.results import Results
+from insemu.evaluate.stretched import StretchedWorld
 from insemu.filters import LooselyCoupledEKF
 from insemu.scenario import Design, Scenario, shipped_designs
 from insemu.strapdown import NavState
@@ -142,6 +143,8 @@ def analysable(experiment: Experiment, *, removes_means: bool = False) -> tuple[
     s = experiment.scenario
     if not isinstance(experiment.world, EmulatedWorld) or s.truth is None:
         return [], "found a recording; the analysis needs an emulated world and its truth"
+    if isinstance(experiment.world, StretchedWorld):
+        return [], "found a flight that is flown in stretches; the analysis needs it as a whole"
     if s.truth.recorded is not None or s.truth.effects:
         return [], "found a recorded truth or deterministic effects; the analysis needs noise models only"
     if needed(s.truth.models().values()):

@@ -144,13 +144,24 @@ def nees_per_dof(errors: Array, covariance: Array, *, full: bool = False) -> Arr
             (errors, covariance) if whole else (errors[rows][:, pattern], covariance[rows][:, pattern][:, :, pattern])
         )
         sd = np.sqrt(np.einsum("nii->ni", P))
-        if np.linalg.eigvalsh(P[-1] / np.outer(sd[-1], sd[-1]))[0] > SINGULAR:
-            out[rows] = nees(e, P) / pattern.sum()
-        elif not full:
+        ends = P[[0, -1]] / (sd[[0, -1], :, None] * sd[[0, -1], None, :])
+        alike = np.linalg.eigvalsh(ends)[:, 0] > SINGULAR
+        if alike[0] == alike[1]:
+            regular = alike[:1].repeat(len(e))
+        else:  # what is one at the start and parts later is looked at epoch by epoch
+            regular = np.linalg.eigvalsh(P / (sd[:, :, None] * sd[:, None, :]))[:, 0] > SINGULAR
+        found = np.full(len(e), np.nan)
+        if regular.all():
+            found = nees(e, P) / pattern.sum()
+        elif regular.any():
+            found[regular] = nees(e[regular], P[regular]) / pattern.sum()
+        if not full and not regular.all():
+            e, P, sd = (x[~regular] for x in (e, P, sd))
             values, vectors = np.linalg.eigh(P / (sd[:, :, None] * sd[:, None, :]))
             free = values > SINGULAR
             seen = np.einsum("nij,ni->nj", vectors, e / sd) ** 2
-            out[rows] = np.where(free, seen / np.where(free, values, 1.0), 0.0).sum(axis=1) / free.sum(axis=1)
+            found[~regular] = np.where(free, seen / np.where(free, values, 1.0), 0.0).sum(axis=1) / free.sum(axis=1)
+        out[rows] = found
     return out
 
 

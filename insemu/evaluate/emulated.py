@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -38,14 +39,14 @@ from insemu.evaluate.held import HELD, key_of
 from insemu.evaluate.world import OUTPUT_INTERVAL, Estimate, Scored, input_files, nearest_rows, static_logs, stream
 from insemu.filters import AidUse, InitialSigma, NavigationFilter, Standstill, TrueMotion
 from insemu.lost import restored
-from insemu.noise import NoiseModel, load_spread
+from insemu.noise import NoiseModel, Spread, load_spread
 from insemu.records import AXES, AidRecord, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Scenario
 from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
 
-#: Longest emulated flight, samples (28 h at 100 Hz), and the memory of one: reference, ideal and corrupted signals, filter.
+#: Longest flight that is held as a whole, samples (28 h at 100 Hz), and memory of a sample: reference, ideal and corrupted signals, filter.
 MAX_SAMPLES = 10_000_000
 BYTES_PER_SAMPLE = 8 * 60
 
@@ -94,25 +95,29 @@ class EmulatedWorld:
         inputs = [self.files[name] for name in (source.waypoints, source.track, source.motion) if name]
         #: Says everything that the reference and the ideal signals depend on.
         self.key = key_of(source.model_dump(mode="json"), inputs)
-        about = source.rate * (source.duration or 0.0)
+        self._fly()
+        self.warnings += self._missed_areas()
+
+    def _fly(self) -> None:
+        """Take the motion, its ideal signals and the reference."""
+        about = self.source.rate * (self.source.duration or 0.0)
         flown = HELD.get(self.key, self._flown, round(about))
         self.flight, self.track, self.warnings = flown.source.flight, flown.source.track, flown.source.warnings
         self.reference: Trajectory = flown.ideal.reference
         self.imu: ImuRecord = flown.ideal.imu
         self.path_distance_m: float = flown.ideal.path_distance_m
-        self.warnings += self._missed_areas()
         count = self.pieces.count
-        if count is not None and scenario.realizations > count:
+        if count is not None and self.scenario.realizations > count:
             raise InputError(
-                f"{scenario.realizations} realizations of {self.duration_s:g} s asked for, but the recorded signals hold "
+                f"{self.scenario.realizations} realizations of {self.duration_s:g} s asked for, but the recorded signals hold "
                 f"{count} non-overlapping pieces of that length",
                 where=f"{self._name}: truth.recorded",
             )
 
-    def _flown(self) -> Flown:
-        """The motion and its ideal signals."""
+    def _loaded(self) -> Source:
+        """The motion."""
         source = self.source
-        loaded = load_flight(
+        return load_flight(
             builtin=source.builtin,
             waypoints=self.files[source.waypoints] if source.waypoints else None,
             track=self.files[source.track] if source.track else None,
@@ -122,6 +127,10 @@ class EmulatedWorld:
             max_gap_s=source.max_gap,
             duration_s=source.duration,
         )
+
+    def _flown(self) -> Flown:
+        """The motion and its ideal signals."""
+        source, loaded = self.source, self._loaded()
         path = loaded.flight.path
         begin = path.start + source.begin
         end = path.end if source.duration is None else min(path.end, path.start + source.duration)
@@ -164,11 +173,17 @@ class EmulatedWorld:
         """Length of the trajectory, s."""
         return float(self.reference.t[-1] - self.reference.t[0])
 
+    @property
+    def _span(self) -> tuple[float, float]:
+        """First and last time of the IMU, s."""
+        return float(self.reference.t[0]), float(self.reference.t[-1])
+
     @cached_property
     def outages(self) -> list[Outage | AreaOutage]:
         """When and where there is no GNSS, the same in every realization."""
         gnss = self.scenario.gnss
-        start, end, zero = float(self.reference.t[0]), float(self.reference.t[-1]), self.flight.path.start
+        start, end = self._span
+        zero = self.flight.path.start
         for k, given in enumerate(gnss.outages):
             where = f"{self._name}: gnss.outages.{k}"
             if given.end_s > end - zero + 1e-9:
@@ -239,17 +254,8 @@ class EmulatedWorld:
             ]
             return recorded_pieces(records, n, rate, truth.recorded.order)
         seed, models = self.scenario.seed, truth.models()
-        spreads = load_spread(self.files[truth.file]) if truth.spread and truth.file is not None else {}
-
-        def sensor(record: int) -> dict[str, NoiseModel]:
-            """The sensor of one switch-on."""
-            return {
-                axis: spreads[axis].drawn(model, stream(seed, "sensor", record, k)) if axis in spreads else model
-                for k, (axis, model) in enumerate(models.items())
-            }
-
         return simulated_pieces(
-            sensor if spreads else models,
+            self.sensor if truth.spread else models,
             n,
             rate,
             record_s=truth.record,
@@ -257,6 +263,21 @@ class EmulatedWorld:
             states_at=np.searchsorted(self.reference.t, self.output_times),
             covariates=covariates_of(self.imu, self.reference, truth.temperature, models.values()),
         )
+
+    def sensor(self, record: int) -> dict[str, NoiseModel]:
+        """True models of the axes in one record: one switch-on."""
+        models = self.truth.models()
+        return {
+            axis: self._spreads[axis].drawn(model, stream(self.scenario.seed, "sensor", record, k))
+            if axis in self._spreads
+            else model
+            for k, (axis, model) in enumerate(models.items())
+        }
+
+    @cached_property
+    def _spreads(self) -> Mapping[str, Spread]:
+        """How the true models differ from one switch-on to another, by axis."""
+        return load_spread(self.files[self.truth.file]) if self.truth.spread and self.truth.file is not None else {}
 
     def recording(self, realization: int, *, ideal: bool = False) -> Recording:
         """What the sensors give in one realization, with the reference.
@@ -407,7 +428,10 @@ class EmulatedWorld:
         Time offsets, jitter and dropped samples move the stamps; the filter's estimate belongs to the stamp.
         """
         truth = self.truth_at_outputs
-        if not np.array_equal(times, truth.t):
+        rows = np.searchsorted(truth.t, times).clip(0, len(truth) - 1)
+        if np.array_equal(times, truth.t[rows]):
+            truth = Trajectory(times, truth.llh[rows], truth.vel_ned[rows], truth.rpy[rows], truth.name)
+        else:
             at = np.clip(times, self.reference.t[0], self.reference.t[-1])
             llh, vel, q, _ = state_at(self.reference, at)
             truth = Trajectory(times, llh, vel, rotation.rpy_from_quaternion(q), self.reference.name)

@@ -15,20 +15,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu import rotation
+from insemu.augment import StateLayout
 from insemu.denoise import delayed_approximation, denoise
 from insemu.effects import compensated, lever_arm_of
 from insemu.emulate import TrueStates
 from insemu.errors import InputError
 from insemu.evaluate.consistency import block_nees, lag_products, observability, sensor_errors, unaided_sigma
 from insemu.evaluate.dataset import of_designs
-from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.held import HELD, key_of
 from insemu.evaluate.recorded import RecordedWorld
+from insemu.evaluate.stretched import Stretch, StretchedWorld, emulated_world
 from insemu.evaluate.world import Estimate, World, implausible, static_logs, stream
 from insemu.filters import (
     FilterOptions,
     FilterParts,
     FilterResult,
+    FixTable,
     Gpu,
     InitialSigma,
     LooselyCoupledEKF,
@@ -108,7 +111,7 @@ class Experiment:
         if not scenario.designs:
             raise InputError("the key 'designs' is missing: there is nothing to fly", where=str(file or "scenario"))
         self.world: World = (
-            RecordedWorld(scenario, file) if scenario.recording is not None else EmulatedWorld(scenario, file)
+            RecordedWorld(scenario, file) if scenario.recording is not None else emulated_world(scenario, file)
         )
         code = [file for d in scenario.designs.values() if d.filter for file in user_filter_code(d.filter).items()]
         self.digest = digest(scenario, {**self.world.files, **dict(code)}, "gpu" if gpu else "")
@@ -372,6 +375,8 @@ class Experiment:
 
         Whichever fly together, the numbers are the same; the variables are those of :data:`insemu.evaluate.dataset.VARIABLES`.
         """
+        if isinstance(self.world, StretchedWorld):
+            return [of_designs(self._stretched(self.world, index), self.world.output_times) for index in indices]
         realized = []
         for index in indices:
             recording, true = self.world.realized(index)
@@ -426,21 +431,58 @@ class Experiment:
         if self.scenario.smoother:
             smoothed = self.world.score(Estimate.of_smoother(smooth(run), times), times)
             found |= {f"smoothed_{key}": value for key, value in asdict(smoothed).items()}
-        used = run.fixes.accepted
-        found |= self._sensors(p.ekf, run, p.known, p.rows, found["error"], p.true, p.unaided)
-        lag_sum, lag_count = lag_products(run.fixes) if used.any() else (np.zeros(5), np.zeros(5))
-        return found | {
-            "states": run.layout.n,
-            "state_name": run.layout.names[9:],
-            "nis": run.fixes.nis[used].sum(),
-            "dof": run.fixes.dof[used].sum(),
-            "lag_sum": lag_sum,
-            "lag_count": lag_count,
-            "epochs": run.epochs,
-            "seconds": run.seconds,
-            "rejected": len(run.fixes.rejected),
-            "fixes": np.count_nonzero(run.fixes.dof),
-        }
+        # and nothing of the output epochs where the covariance was not propagated at the very samples
+        true = p.true
+        if true is not None and not np.allclose(times, self.world.output_times, rtol=0, atol=0.5 / self.rate_hz):
+            true = None
+        found |= self._sensors(p.ekf, run, p.known, p.rows, found["error"], true, p.unaided)
+        return found | _counted(run.layout, run.fixes) | {"epochs": run.epochs, "seconds": run.seconds}
+
+    def _stretched(self, world: StretchedWorld, index: int) -> dict[str, dict[str, Any]]:
+        """Every design through one realization of a flight in stretches; the filter's states and covariance are handed from one to the next."""
+        fixes = world.fixes(stream(self.scenario.seed, "gnss", index))
+        start, sigma = world.moved_start(stream(self.scenario.seed, "initial", index))
+        begun: dict[str, _Begun] = dict.fromkeys(self.beliefs, (start, sigma, None))
+        unaided = {name: unaided_sigma(self.ekf(name).augmentation, world.output_rows) for name in self.beliefs}
+        told: dict[str, list[dict[str, Any]]] = {name: [] for name in self.beliefs}
+        runs: dict[str, list[FilterResult]] = {name: [] for name in self.beliefs}
+        for part in world.stretches(index):
+            for name in self.beliefs:
+                found, run = self._onward(
+                    name, part, self.believed(name, fixes), begun[name], unaided[name][part.outputs]
+                )
+                end = run.nav[-1].copy()  # of a view the rows of the whole stretch would stay
+                state = NavState(end[:3], end[3:6], rotation.rpy_from_quaternion(end[6:10]))
+                begun[name] = state, run.final_covariance, run.imu_states[-1].copy()
+                told[name].append(found)
+                # what is counted at the end needs no more than the fixes
+                runs[name].append(replace(run, nav=end[None], sigma=end[None], imu_states=end[None], covariance=end))
+        out = {}
+        for name, parts in told.items():
+            axis = {"block_nees": 1}
+            arrays = {key: np.concatenate([p[key] for p in parts], axis=axis.get(key, 0)) for key in parts[0]}
+            last = runs[name][-1]
+            table = FixTable.joined([run.fixes for run in runs[name]])
+            sums = {"epochs": sum(r.epochs for r in runs[name]), "seconds": sum(r.seconds for r in runs[name])}
+            out[name] = arrays | _counted(last.layout, table) | sums
+        return out
+
+    def _onward(
+        self, name: str, part: Stretch, fixes: GnssRecord, begun: _Begun, unaided: Array
+    ) -> tuple[dict[str, Any], FilterResult]:
+        """One design through one stretch, from where the one before ended."""
+        start, sigma, states = begun
+        times = part.imu.t[part.rows]
+        common, every = int(np.gcd.reduce(part.rows)), self.scenario.designs[name].options.covariance_every
+        step = common // every if common and common % every == 0 else 1
+        made = self.filter(name, output_every=step, covariance_at=times)
+        assert isinstance(made, LooselyCoupledEKF)
+        if made.augmentation.laws:
+            raise InputError("a level that follows a covariate needs the flight as a whole", where=f"designs.{name}")
+        run = made.run(part.imu, fixes, start, sigma, initial_states=states)
+        found = asdict(self.world.score(Estimate.of_filter(run, times), times))
+        found |= self._sensors(made, run, part.imu, part.rows, found["error"], part.true, unaided)
+        return found, run
 
     def _ready(
         self, design: str, times: Array, rows: NDArray[np.intp], standstill: Standstill | None
@@ -499,8 +541,6 @@ class Experiment:
         whole = imu.as_increments()
         step = (whole.t[np.maximum(rows, 1)] - whole.t[np.maximum(rows, 1) - 1])[:, None]
         measured = np.hstack([part[rows] for part in ekf.augmentation.sensed(whole)]) / step
-        if true is not None and not np.allclose(times, self.world.output_times, rtol=0, atol=0.5 / self.rate_hz):
-            true = None  # the covariance was not propagated at the very samples
         at = np.searchsorted(run.t, times - 1e-9)
         axes, states, names = (None, None, ()) if true is None else (true.axes, true.states, true.names)
         sensed = sensor_errors(run, ekf.augmentation, at, covariance, measured, axes, states, names)
@@ -563,6 +603,26 @@ class Experiment:
         if tuning.velocity != 1.0 and fixes.vel_std_ned is not None:
             out = replace(out, vel_std_ned=fixes.vel_std_ned * tuning.velocity)
         return out
+
+
+#: Where a filter begins: navigation state, what is believed of it, estimates of the other states.
+_Begun = tuple[NavState, InitialSigma | Array, Array | None]
+
+
+def _counted(layout: StateLayout, fixes: FixTable) -> dict[str, Any]:
+    """What is said of a run as a whole."""
+    used = fixes.accepted
+    lag_sum, lag_count = lag_products(fixes) if used.any() else (np.zeros(5), np.zeros(5))
+    return {
+        "states": layout.n,
+        "state_name": layout.names[9:],
+        "nis": fixes.nis[used].sum(),
+        "dof": fixes.dof[used].sum(),
+        "lag_sum": lag_sum,
+        "lag_count": lag_count,
+        "rejected": len(fixes.rejected),
+        "fixes": np.count_nonzero(fixes.dof),
+    }
 
 
 def _fit_key(source: AxisSource, log: Series) -> tuple[str, int]:

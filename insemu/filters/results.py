@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -62,6 +63,12 @@ class FixTable:
 
     def __len__(self) -> int:
         return self.t.size
+
+    @classmethod
+    def joined(cls, parts: Sequence[FixTable]) -> FixTable:
+        """Tables of runs that follow each other, without gains; epochs are those of each run."""
+        names = [f.name for f in fields(cls) if f.name not in ("K", "H")]
+        return cls(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
     @cached_property
     def complete(self) -> tuple[Array, Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 
 from insemu.errors import InputError
 from insemu.formats.decoding import check_unpacked, decoding
+
+#: Bytes from which an array is mapped rather than read.
+MAPPED = 1 << 28
 
 
 def load_npz(path: Path) -> dict[str, NDArray[Any]]:
@@ -24,10 +28,33 @@ def load_npz(path: Path) -> dict[str, NDArray[Any]]:
             check_unpacked(unpacked, path.stat().st_size, path)
             for key in file.files:
                 try:
-                    arrays[key] = file[key]
+                    mapped = _mapped(path, key)
+                    arrays[key] = file[key] if mapped is None else mapped
                 except ValueError as error:
                     raise InputError(_reason(error), where=f"{path}: {key}") from None
     return arrays
+
+
+def _mapped(path: Path, key: str) -> NDArray[Any] | None:
+    """A large array that is stored without compression, mapped where it lies in the file; None for any other."""
+    with zipfile.ZipFile(path) as archive:
+        if f"{key}.npy" not in archive.namelist():
+            return None
+        member = archive.getinfo(f"{key}.npy")
+    if member.compress_type != zipfile.ZIP_STORED or member.file_size < MAPPED:
+        return None
+    with path.open("rb") as handle:
+        handle.seek(member.header_offset + 26)
+        name, extra = np.frombuffer(handle.read(4), dtype="<u2").tolist()
+        handle.seek(name + extra, 1)
+        version = np.lib.format.read_magic(handle)
+        if version not in ((1, 0), (2, 0)):
+            return None
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, fortran, dtype = read(handle)
+        if dtype.hasobject:
+            return None
+        return np.memmap(path, dtype, "r", handle.tell(), shape, "F" if fortran else "C")
 
 
 def keys_of(path: Path) -> frozenset[str]:

@@ -175,11 +175,22 @@ class Log:
             First row.
         """
         values = self.columns[column]
-        mapped = getattr(values, "_mmap", None)
+        mapped = mapping_of(values)
         for start in range(first, len(self), size):
             yield np.asarray(values[start : start + size], dtype=np.float64)
             if mapped is not None and hasattr(mmap, "MADV_DONTNEED"):
                 mapped.madvise(mmap.MADV_DONTNEED)  # pages that were read count as this process's memory until let go
+
+
+def mapping_of(values: NDArray[Any]) -> mmap.mmap | None:
+    """The map of the file that an array is a view of; None of one in memory."""
+    base: Any = values
+    while isinstance(base, np.ndarray):
+        if isinstance(base, np.memmap):
+            found: mmap.mmap | None = getattr(base, "_mmap", None)
+            return found
+        base = base.base
+    return None
 
 
 def _placed(values: NDArray[Any], rows: NDArray[np.int64] | None) -> Array:
@@ -313,7 +324,9 @@ def _npz(path: Path) -> _Parts:
         block = block * scale
     if t is not None and t[1].shape != (block.shape[0],):
         raise InputError(f"has shape {t[1].shape}, expected ({block.shape[0]},)", where=f"{where}: t")
-    return names, units, list(np.ascontiguousarray(block.T)), t, rate
+    # of a mapped file the columns stay where they lie
+    columns = block.T if mapping_of(block) is not None else np.ascontiguousarray(block.T)
+    return names, units, list(columns), t, rate
 
 
 def _npy(path: Path) -> _Parts:

@@ -8,6 +8,7 @@ from insemu.noise.block import StateBlock
 from insemu.noise.files import axis_unit, load, save
 from insemu.noise.follow import KNOWN as COVARIATES
 from insemu.noise.follow import LARGEST_LOG_GAIN, LARGEST_LOG_TIME, Follows, require_constant
+from insemu.noise.onward import Source, check_held, sources
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import PROCESSES, SAME_RATE, NoiseModel, NotStationary, Process, register
 from insemu.noise.processes.autoregressive import AR, AR1, ARMA, MA
@@ -44,9 +45,11 @@ __all__ = [
     "Parameter",
     "Process",
     "Seen",
+    "Source",
     "Spread",
     "StateBlock",
     "axis_unit",
+    "check_held",
     "load",
     "load_spread",
     "process_label",
@@ -54,6 +57,7 @@ __all__ = [
     "require_constant",
     "save",
     "shared_processes",
+    "sources",
     "with_factors",
 ]
 

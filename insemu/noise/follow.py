@@ -245,7 +245,7 @@ def draw(
         A process that follows a covariate and has no driving noise of its own, or the covariate is not given.
     """
     if process.follows is None:
-        process.fill(out, dt, rng)
+        process.source(out.size, dt, rng)(out)
     elif process.single_draw or not process.own_block:
         raise InputError(
             f"{process} cannot be drawn: it has no driving noise of its own whose level could follow; expected GM, WN, RW, ..."

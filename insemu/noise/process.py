@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError, nearest, shown
-from insemu.noise import follow, grammar
+from insemu.noise import follow, grammar, onward
 from insemu.noise.block import StateBlock
 from insemu.noise.common import Common, common_keys
 from insemu.noise.compiled import curves
@@ -181,18 +181,15 @@ class Process(Common, metaclass=_WithTime):
         first, second = self.difference_covariance(m, dt, 2)
         return float(max(first, first + 2.0 * second))
 
-    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:
-        """Overwrite ``out`` (n,), contiguous float64, with samples at interval ``dt`` (s), from a stationary start where there is one.
+    def source(self, n: int, dt: float, rng: np.random.Generator) -> onward.Source:
+        """What overwrites an array with the next samples of ``n`` in all, from a stationary start where there is one.
 
         Parameters
         ----------
-        out : (n,) array
-            Overwritten, unit.
-        dt : float
-            Sampling interval, s.
-        rng : Generator
+        n, dt, rng
+            As of :meth:`simulate`.
         """
-        follow.fill(out, self.block(dt), np.ones(1), rng)
+        return onward.of_block(self.block(dt), n, rng)
 
     def simulate(self, n: int, dt: float, rng: np.random.Generator) -> Array:
         """``n`` samples at interval ``dt`` (s), from a stationary start where there is one.
@@ -206,7 +203,7 @@ class Process(Common, metaclass=_WithTime):
         rng : Generator
         """
         out = np.empty(n)
-        self.fill(out, dt, rng)
+        self.source(n, dt, rng)(out)
         return out
 
     def correlation_time(self, dt: float) -> float | None:

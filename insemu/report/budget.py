@@ -14,6 +14,8 @@ from insemu.report.charts import Chart, Line, View, positive, strokes
 from insemu.report.style import COLOURS
 
 Windows = Sequence[tuple[float, float]]
+#: Outages that have a bar: the last, and so many of those with the largest errors.
+BARS_OF = 20
 #: Parts below this share of every bar are drawn together.
 SMALL = 0.02
 BARS = (
@@ -42,7 +44,11 @@ def budget_chart(budgets: Budgets, by: str = "process") -> Chart:
             weight[key] = max(weight.get(key, 0.0), value / sum(s.values()))
     named = sorted((k for k, v in weight.items() if v >= SMALL), key=lambda k: -weight[k])[: len(COLOURS)]
     views = []
+    # of many outages those with the largest errors
+    largest = sorted(range(len(windows)), key=lambda k: -max(per[k]["rms_m"] for per in budgets.values()))[:BARS_OF]
     for k, (start, duration) in enumerate(windows):
+        if k not in largest and k != len(windows) - 1:
+            continue
         base = dict.fromkeys(budgets, 0.0)
         lines = []
         for key, colour in zip((*named, "the rest"), (*COLOURS[: len(named)], "#C4CAD1"), strict=True):

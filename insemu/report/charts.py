@@ -206,6 +206,49 @@ class Chart:
         return embedded(plain)
 
 
+@dataclass(frozen=True)
+class Ledger:
+    """A long table: its numbers stand in the page once, and the page's script draws the rows and charts that are asked for.
+
+    Parameters
+    ----------
+    header : sequence of str
+    rows : sequence of sequence of str
+    caption : str
+    left : int
+        Columns that are aligned left, from the first.
+    charts : sequence of Chart
+        Each of one view and with an x of its own; what a row draws.
+    chart_of : sequence of int
+        Which of them belongs to each row.
+    """
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str
+    left: int = 1
+    charts: Sequence[Chart] = ()
+    chart_of: Sequence[int] = ()
+
+    def to_json(self) -> str:
+        """As the script reads it: what the charts have in common, then the numbers of each."""
+        plain: dict[str, Any] = {"header": list(self.header), "left": self.left, "rows": [list(r) for r in self.rows]}
+        if self.charts:
+            first = json.loads(self.charts[0].to_json())
+            first["views"][0] |= {"x": None, "series": [s | {"y": []} for s in first["views"][0]["series"]]}
+            each = [
+                [
+                    c.name,
+                    c.spans,
+                    _numbers(np.asarray(c.x, dtype=float), 4),
+                    *(_numbers(line.y, 3) for line in c.views[0].lines),
+                ]
+                for c in self.charts
+            ]
+            plain |= {"chart": first, "charts": each, "of": list(self.chart_of)}
+        return embedded(plain)
+
+
 def familiar(lines: Sequence[Line], unit: str) -> tuple[list[Line], str]:
     """Lines in the unit that datasheets use for an SI unit, and that unit; the file's own where nobody knows it.
 

@@ -11,12 +11,15 @@ import yaml
 from insemu.evaluate import Results, Standing, answer, verdicts
 from insemu.noise import NoiseModel, axis_unit
 from insemu.report import budget
+from insemu.report.charts import Ledger
 from insemu.report.experiment_charts import (
     bounds_chart,
     end_chart,
     error_chart,
     flight_chart,
+    many,
     nees_chart,
+    outage_charts,
     smoother_chart,
 )
 from insemu.report.page import Block, Card, Code, Folded, Items, Section, Table, Text, render
@@ -43,6 +46,26 @@ def _tables(results: Results) -> list[Block]:
         f"Planimetric error at outage end, mean over {results.realizations} realizations with its interval by bootstrap over them; what the "
         "filter states there; altitude; cover: errors inside 3 sigma during the outage. Verdict: on the NEES at the end of the outage."
     )
+    if many(results):
+        header, rows = full_headline(results)
+        count, names = len(results.outages), iter(rows)
+        named = [
+            [name, *next(names)[1:]] for name in results.names for _ in range(count)
+        ]  # sorted, every row needs its design
+        chosen = "A click on a heading sorts, one on an outage draws it. " + caption
+        order = [header.index(column) for column in ("design", "outage")]
+        order += [k for k, column in enumerate(header) if k not in order and column != "states"]
+        rows = [[row[k] for k in order] for row in named]
+        return [
+            Ledger(
+                [header[k] for k in order],
+                rows,
+                chosen,
+                2,
+                outage_charts(results),
+                list(range(count)) * len(results.names),
+            )
+        ]
     more = "Means over the realizations; altitude, velocity and attitude at the end of the outage."
     detail = Table(*full_headline(results), more, left=1)
     return [Table(*page_headline(results), caption, left=1), Folded("Every figure of every outage", [detail])]
@@ -141,7 +164,9 @@ def _accuracy(main: Results) -> list[Section]:
         Section("Does the filter know its error?", [bounds_chart(main), nees_chart(main), judged]),
     ]
     if main.smoothed:
-        sections.append(Section("Smoothed", [Table(*smoother_rows(main), SMOOTHED, left=2), smoother_chart(main)]))
+        rows = smoother_rows(main)
+        table = Ledger(*rows, SMOOTHED, 2) if many(main) else Table(*rows, SMOOTHED, left=2)
+        sections.append(Section("Smoothed", [table, smoother_chart(main)]))
     if main.budgets:
         note = (
             "By covariance analysis of truth and belief together; nothing was drawn. Parts add up as squares. A mean removed from the records "

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ Array = NDArray[np.float64]
 
 #: Epochs of a chart outside outages, and in each of them, at most: a page of moderate size.
 MOST_EPOCHS, MOST_INSIDE = 400, 120
+#: Outages above which a page shows them when they are asked for; points of all of them together in a chart over time; numbers of their own charts.
+MANY, ALL_INSIDE, OUTAGE_NUMBERS = 20, 1200, 60_000
 #: Realizations that a reader can choose from.
 SHOWN_ALONE = 5
 
@@ -59,10 +62,55 @@ def _epochs(results: Results) -> NDArray[np.intp]:
     """Epochs to show: few outside outages, more in and around them, always their ends."""
     t = results.t
     parts = [np.arange(0, t.size, -(-t.size // MOST_EPOCHS))]
+    most = ALL_INSIDE // len(results.outages) // 2 if many(results) else MOST_INSIDE
     for k, (start, duration) in enumerate(results.outages):
-        near = np.flatnonzero((t >= start - 0.1 * duration) & (t <= start + 1.5 * duration))
-        parts += [near[:: -(-near.size // MOST_INSIDE) or 1], np.array([results.end_index(k)])]
+        parts.append(np.array([results.end_index(k)]))
+        if most:
+            near = np.arange(*np.searchsorted(t, [start - 0.1 * duration, start + 1.5 * duration]))
+            parts.append(near[:: -(-near.size // most) or 1])
     return np.unique(np.concatenate(parts)).astype(np.intp)
+
+
+def many(results: Results) -> bool:
+    """Whether there are too many outages to show each of them unasked."""
+    return len(results.outages) > MANY
+
+
+def outage_charts(results: Results) -> list[Chart]:
+    """Planimetric rms error of every design in each outage, and the sigma that it states: to be drawn when asked for."""
+    count = len(results.outages) * (2 * len(results.names) + 1)
+    points = int(np.clip(OUTAGE_NUMBERS // max(count, 1), 6, MOST_INSIDE))
+    drawn: list[tuple[str, str, Array, Array]] = []
+    for d, design in enumerate(results.names):
+        rms, stated = (_horizontal(_root(results, f"{what}_square", d)) for what in ("error", "sigma"))
+        drawn.append((design, colour(d), rms, stated))
+    out: list[Chart] = []
+    for k, (start, duration) in enumerate(results.outages):
+        end = results.end_index(k)
+        first = min(int(np.searchsorted(results.t, start - 0.2 * duration)), end)
+        at = np.unique(np.round(np.linspace(first, end, min(points, end - first + 1))).astype(np.intp))
+        lines = []
+        for design, hue, rms, stated in drawn:
+            lines += [
+                Line(design, positive(rms[at]), hue),
+                Line(f"{design}: stated sigma", positive(stated[at]), hue, dashed=True, width=1.1, of=design),
+            ]
+        view = View("", "planimetric position (m)", lines, log_y=True)
+        name = f"Outage {k + 1}, {duration:.3g} s from {start / 60:.4g} min"
+        caption = f"Rms error of every design over {results.realizations} realizations (solid) and the sigma it states (dashed)."
+        t = np.round(results.t[at] - start, 2)
+        out.append(
+            Chart(
+                name,
+                caption,
+                t,
+                "time since the start of the outage (s)",
+                [view],
+                [(0.0, round(duration, 2))],
+                group="outage",
+            )
+        )
+    return out
 
 
 def _spans(results: Results) -> list[tuple[float, float]]:
@@ -79,6 +127,8 @@ def error_chart(results: Results) -> Chart:
     told = results.statistics if results.realizations >= TOLD else {}
     sketched = {"Planimetric position": "planimetric_quantile", "Height": "altimetric_quantile"}
     for name, (unit, of, printed) in QUANTITIES.items():
+        if many(results) and not printed:
+            continue
         lines = []
         for d, design in enumerate(results.names):
             rms, stated = (of(_root(results, f"{what}_square", d)[at]) for what in ("error", "sigma"))
@@ -133,6 +183,8 @@ def bounds_chart(results: Results) -> Chart:
 
     first, *others = QUANTITIES
     shown = len(numbers) if kept else min(SHOWN_ALONE, len(numbers))
+    if many(results):
+        shown, others = min(shown, 2), [name for name in others if QUANTITIES[name][2]]
     views = [view(r, first) for r in range(shown)] + [view(0, name) for name in others]
     outside = ", ".join(f"{design} {100 * _outside(results, d):.1f} %" for d, design in enumerate(results.names))
     told = f" In outages this share of all planimetric errors is outside: {outside}." if results.outages else ""
@@ -151,6 +203,8 @@ def _outside(results: Results, design: int) -> float:
     inside = np.zeros(results.t.size, dtype=bool)
     for start, duration in results.outages:
         inside |= within_outage(results.t, start, duration)
+    if not inside.any():
+        return 0.0
     return float(np.mean(1.0 - results.total.mean("inside_horizontal", design)[inside]))
 
 
@@ -195,9 +249,17 @@ def flight_chart(results: Results) -> Chart:
 
     lines = [track("reference", plan, at, INK, 1.2)]
     labels = [(float(plan[0, 0]), float(plan[0, 1]), "start")]
-    views = []
-    for k, (start, duration) in enumerate(results.outages):
+    views: list[View] = []
+    if many(results):
+        t, hidden = results.t[at], np.zeros(at.size, dtype=bool)
+        for start, duration in results.outages:
+            hidden |= (t >= start) & (t <= start + duration + 1e-6)
+        every = track("outages", plan, at, RED, 3.5)
+        lines.append(replace(every, y=np.where(hidden, np.asarray(every.y), np.nan), points=True))
+    for k, (start, duration) in enumerate(() if many(results) else results.outages):
         inside = np.flatnonzero(within_outage(results.t, start, duration))
+        if not inside.size:
+            inside = np.array([results.end_index(k)])
         lines.append(track(f"outage {k + 1}", plan, inside[:: max(1, inside.size // MOST_INSIDE)], RED, 3.5))
         east, north = plan[inside[inside.size // 2]]
         labels.append((float(east), float(north), str(k + 1)))
@@ -227,6 +289,8 @@ def flight_chart(results: Results) -> Chart:
 def end_chart(results: Results) -> Chart:
     """Planimetric error at outage end: every realization, mean with its 95 % interval, what the filter states, what was published."""
     table = outage_table(results)
+    if many(results):
+        return _ends_over_time(results, table)
     published = results.published.get("planimetric_end_m", {})
     lines, count = [], len(results.names)
     stated: tuple[list[float], list[float], list[str]] = ([], [], [])
@@ -278,6 +342,26 @@ def end_chart(results: Results) -> Chart:
         None,
         "outage (start, duration)",
         [View("At outage end", "planimetric error (m)", lines, log_y=True, ticks=ticks)],
+        group="ends",
+    )
+
+
+def _ends_over_time(results: Results, table: Mapping[str, Sequence[Mapping[str, Any]]]) -> Chart:
+    """Mean error at the end of each of many outages, against its start, and what the filters state."""
+    lines = []
+    for d, (name, rows) in enumerate(table.items()):
+        mean = positive([row["planimetric_end_m"]["mean"] for row in rows])
+        stated = positive([row["predicted_sigma_end_m"] for row in rows])
+        lines += [
+            Line(name, mean, colour(d), points=True, width=3.0),
+            Line(f"{name}: stated sigma", stated, INK if d == 0 else GREY, points=True, width=1.2, of=name),
+        ]
+    return _over_time(
+        "End errors",
+        f"Planimetric error at the end of each of {len(results.outages)} outages, mean over the realizations (large dots), and the sigma that the "
+        "filter states (small dots).",
+        [start / 60.0 for start, _ in results.outages],
+        views=[View("At outage end", "planimetric error (m)", lines, log_y=True)],
         group="ends",
     )
 

@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 from insemu import __version__
 from insemu.progress import say_once
-from insemu.report.charts import Chart, asset, embedded, script, script_hash
+from insemu.report.charts import Chart, Ledger, asset, embedded, script, script_hash
 from insemu.report.style import NO_MATPLOTLIB, can_draw, pyplot
 from insemu.whole import put
 
@@ -121,7 +121,7 @@ class Form:
     blocks: Sequence[Block]
 
 
-Block = Form | Text | Items | Table | Figure | Code | Chart | Folded
+Block = Form | Text | Items | Table | Ledger | Figure | Code | Chart | Folded
 
 
 @dataclass(frozen=True)

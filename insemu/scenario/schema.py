@@ -113,7 +113,7 @@ class TrajectorySource(Section):
         default=None,
         gt=0,
         le=MAX_DURATION,
-        description="cut the trajectory after this time; a table at rest (static) lasts as long",
+        description="length of the flight: a longer trajectory is cut, a shorter built-in motion is repeated, a table at rest (static) lasts as long",
     )
     mode: Literal["exact", "continuous"] = Field(
         default="exact", description="how the ideal IMU is made (docs/emulation.md)"

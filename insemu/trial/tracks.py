@@ -41,7 +41,7 @@ def random_track(kind: str, seconds: float, rng: np.random.Generator) -> SmoothP
     calm = path_of(p, VEHICLES[vehicle], origin, kind)
     # a spline repeats what is fast about the frequency of its knots: fast motion gets closer knots
     t = np.linspace(calm.start, calm.end, int((calm.end - calm.start) / FINE_KNOT_S) + 1)
-    velocity = calm.position.derivative()(t)
+    velocity = calm.position(t, 1)
     on = moving_share(np.hypot(velocity[:, 0], velocity[:, 1]))
     seeds = rng.integers(2**31, size=2)
     wind = gusts(t, shake_v, band, on, int(seeds[0]))

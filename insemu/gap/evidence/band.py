@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.compiled import njit
-from insemu.noise import AR, WN, Parameter, Process, StateBlock
+from insemu.noise import AR, WN, Parameter, Process, Source, StateBlock
 
 Array = NDArray[np.float64]
 
@@ -135,5 +135,5 @@ class Band(Process):
     def block(self, dt: float) -> StateBlock:  # noqa: D102
         return self.autoregression(dt).block(dt)
 
-    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
-        self.autoregression(dt).fill(out, dt, rng)
+    def source(self, n: int, dt: float, rng: np.random.Generator) -> Source:  # noqa: D102
+        return self.autoregression(dt).source(n, dt, rng)

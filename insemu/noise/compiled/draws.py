@@ -22,8 +22,8 @@ def standard_normal(out: Array, rng: np.random.Generator) -> None:
 
 
 @njit(cache=True, nogil=True)
-def first_order(out: Array, phi: float, first: float, rest: float) -> None:
-    """Turn white numbers (n,) into ``y_k = phi y_(k-1) + rest w_k`` with ``y_0 = first w_0``, in place.
+def first_order(out: Array, phi: float, first: float, rest: float, before: float) -> None:
+    """Turn white numbers (n,) into ``y_k = phi y_(k-1) + rest w_k`` with ``y_0 = first w_0 + phi before``, in place.
 
     Parameters
     ----------
@@ -32,9 +32,11 @@ def first_order(out: Array, phi: float, first: float, rest: float) -> None:
     phi : float
         Coefficient of the recursion.
     first, rest : float
-        Standard deviation of the first sample, and of the innovations after it.
+        Standard deviation of what drives the first sample, and of the innovations after it.
+    before : float
+        Sample before the first; 0 where the process begins.
     """
-    y = 0.0
+    y = before
     scale = first
     for k in range(out.size):
         y = out[k] * scale + phi * y
@@ -43,8 +45,8 @@ def first_order(out: Array, phi: float, first: float, rest: float) -> None:
 
 
 @njit(cache=True, nogil=True)
-def running_sum(out: Array, start: float, scale: float) -> None:
-    """Turn white numbers (n,) into ``start + scale (w_0 + ... + w_k)``, in place.
+def running_sum(out: Array, start: float, scale: float, total: float) -> float:
+    """Turn white numbers (n,) into ``start + scale (total + w_0 + ... + w_k)``, in place.
 
     Parameters
     ----------
@@ -54,11 +56,18 @@ def running_sum(out: Array, start: float, scale: float) -> None:
         Added to every sum.
     scale : float
         Factor of the sums: of white numbers of unit variance the standard deviation of a step.
+    total : float
+        Sum of the numbers before the first; 0 where it begins.
+
+    Returns
+    -------
+    float
+        Sum of the numbers up to the last.
     """
-    total = 0.0
     for k in range(out.size):
         total += out[k]
         out[k] = start + total * scale
+    return total
 
 
 @njit(cache=True, nogil=True)

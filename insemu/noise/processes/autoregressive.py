@@ -14,12 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.compiled import njit
 from insemu.errors import InputError, nearest, shown
+from insemu.noise import onward
 from insemu.noise.block import StateBlock
 from insemu.noise.chain import sections, slower
-from insemu.noise.compiled import draws
 from insemu.noise.compiled.curves import STEP
 from insemu.noise.compiled.doubling import arma, coefficients_of
 from insemu.noise.grammar import quantity, whole
+from insemu.noise.onward import Source
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import SAME_RATE, MarkovParts, NotStationary, Process, counts
 from insemu.noise.processes.gauss_markov import first_order
@@ -217,11 +218,10 @@ class AR1(Process):
         phi = min(max(float(Phi[0, 0]), -1.0 + 1e-12), 1.0 - 1e-12)
         return self.with_parameters({"phi": phi, "sigma2": float(Q[0, 0])})
 
-    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
+    def source(self, n: int, dt: float, rng: np.random.Generator) -> Source:  # noqa: D102
         _carried_rate(self, dt)
         p = self.parameters
-        draws.standard_normal(out, rng)
-        draws.first_order(out, p["phi"], math.sqrt(self.variance), math.sqrt(p["sigma2"]))
+        return onward.first_order(rng, p["phi"], math.sqrt(self.variance), math.sqrt(p["sigma2"]))
 
 
 @dataclass(frozen=True)
@@ -462,22 +462,16 @@ class ARMA(Process):
         size = len(self.ar) + len(self.ma)
         return [(0.0,) * size] + [tuple(float(v) for v in rng.normal(0.0, 1.0, size)) for _ in range(59)]
 
-    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
+    def source(self, n: int, dt: float, rng: np.random.Generator) -> Source:  # noqa: D102
         block = self.block(dt)
         eigenvalues, vectors = np.linalg.eigh(block.P0)
         start = vectors @ (np.sqrt(np.maximum(eigenvalues, 0.0)) * rng.standard_normal(block.n))
         ar, ma = self._polynomials()
-        draws.standard_normal(out, rng)
-        out *= math.sqrt(self.parameters["sigma2"])
         # Harvey's state is the direct form II transposed: y_0 sees Phi x_(-1)
         memory = (block.Phi @ start)[: max(len(ar), len(ma)) - 1]
         padded = max(len(ar), len(ma))
-        draws.rational_filter(
-            out,
-            np.pad(ma, (0, padded - len(ma))),
-            np.pad(ar, (0, padded - len(ar))),
-            _transposed_memory(memory, padded - 1),
-        )
+        b, a = np.pad(ma, (0, padded - len(ma))), np.pad(ar, (0, padded - len(ar)))
+        return onward.rational(rng, math.sqrt(self.parameters["sigma2"]), b, a, _transposed_memory(memory, padded - 1))
 
     def __str__(self) -> str:
         if not self.specified:

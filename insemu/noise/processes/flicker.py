@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from insemu.errors import InputError
 from insemu.noise.block import StateBlock
 from insemu.noise.compiled import draws
+from insemu.noise.onward import Source, check_held
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import MarkovParts, NoiseModel, Process, counts
 from insemu.noise.processes.gauss_markov import GM, first_order_wavelet
@@ -132,17 +133,25 @@ class BI(Process):
         parts = tuple(GM(math.sqrt(w * flat), 1.0 / t) for w, t in zip(weights, times, strict=True) if w > 0)
         return NoiseModel(parts), error
 
-    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
-        gain = _flicker_gain(int(2 ** math.ceil(math.log2(max(2 * out.size, 8)))))
-        size = 2 * gain.size - 2
+    def source(self, n: int, dt: float, rng: np.random.Generator) -> Source:
+        """Flicker is drawn as a whole: the transform of all samples is held."""
+        check_held(n, self.symbol)
+        gain = _flicker_gain(int(2 ** math.ceil(math.log2(max(2 * n, 8)))))
+        size, done = 2 * gain.size - 2, 0
         buffer = np.empty(2 * size + 2)  # one block for both directions of the transform
         white, spectrum = buffer[:size], buffer[size:].view(np.complex128)
         draws.standard_normal(white, rng)
         np.fft.rfft(white, out=spectrum)
         spectrum *= gain
         np.fft.irfft(spectrum, size, out=white)
-        out[:] = white[: out.size]
-        draws.running_sum(out, 0.0, self.parameters["B"])
+        total = 0.0
+
+        def following(out: Array) -> None:
+            nonlocal done, total
+            out[:] = white[done : done + out.size]
+            total, done = draws.running_sum(out, 0.0, self.parameters["B"], total), done + out.size
+
+        return following
 
 
 @lru_cache(maxsize=32)

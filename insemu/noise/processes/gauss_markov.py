@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.compiled import njit
 from insemu.errors import InputError
+from insemu.noise import onward
 from insemu.noise.block import StateBlock
-from insemu.noise.compiled import draws
 from insemu.noise.grammar import quantity
+from insemu.noise.onward import Source
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import MarkovParts, Process, counts
 
@@ -234,10 +235,9 @@ class GM(Process):
         a = p["beta"] * dt / factor
         return np.exp(-a)[:, None, None], np.ones(1), p["sigma"] * np.sqrt(-np.expm1(-2.0 * a))
 
-    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
+    def source(self, n: int, dt: float, rng: np.random.Generator) -> Source:  # noqa: D102
         phi, q = self.discrete(dt)
-        draws.standard_normal(out, rng)
-        draws.first_order(out, phi, self.parameters["sigma"], math.sqrt(q))
+        return onward.first_order(rng, phi, self.parameters["sigma"], math.sqrt(q))
 
     @classmethod
     def from_mapping(cls, given: Mapping[str, Any], signal_unit: str) -> Self:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.compiled import njit
 from insemu.noise.block import StateBlock
+from insemu.noise.onward import Source
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import Process, counts, of_structure
 
@@ -137,8 +138,19 @@ class PWC(Process):
     def correlation_time(self, dt: float) -> float:  # noqa: D102
         return self.parameters["T"]
 
-    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
-        held = self._samples(dt)
-        which = ((np.arange(out.size) + rng.uniform(0.0, held)) / held).astype(np.int64)
-        values = rng.standard_normal(int(which[-1]) + 1 if out.size else 0)
-        np.multiply(values[which], self.parameters["sigma"], out=out)
+    def source(self, n: int, dt: float, rng: np.random.Generator) -> Source:  # noqa: D102
+        held, done, first = self._samples(dt), 0, 0
+        phase = rng.uniform(0.0, held)
+        values = np.empty(0)  # those from number ``first`` on
+
+        def following(out: Array) -> None:
+            nonlocal done, first, values
+            which = ((np.arange(done, done + out.size) + phase) / held).astype(np.int64)
+            if out.size:
+                wanted = int(which[-1]) + 1 - first
+                values = np.concatenate([values, rng.standard_normal(max(wanted - values.size, 0))])
+                np.multiply(values[which - first], self.parameters["sigma"], out=out)
+                first, values = int(which[-1]), values[-1:]
+                done += out.size
+
+        return following

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.noise.block import StateBlock
+from insemu.noise.onward import Source
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import MarkovParts, Process, counts
 
@@ -67,8 +68,14 @@ class SIN(Process):
     def markov_parts(self, dt: float) -> MarkovParts:  # noqa: D102
         return MarkovParts(line=(self.parameters["f"], self.parameters["alpha"]))
 
-    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
-        p = self.parameters
+    def source(self, n: int, dt: float, rng: np.random.Generator) -> Source:  # noqa: D102
+        p, done = self.parameters, 0
         phase = rng.uniform(0.0, 2.0 * math.pi)
-        np.sin(2.0 * math.pi * p["f"] * dt * np.arange(out.size) + phase, out=out)
-        out *= p["alpha"]
+
+        def following(out: Array) -> None:
+            nonlocal done
+            np.sin(2.0 * math.pi * p["f"] * dt * np.arange(done, done + out.size) + phase, out=out)
+            out *= p["alpha"]
+            done += out.size
+
+        return following

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.noise.block import StateBlock
 from insemu.noise.compiled import draws
+from insemu.noise.onward import Source
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import MarkovParts, Process, counts
 
@@ -79,10 +80,15 @@ class RW(Process):
     def as_white_and_walk(self, dt: float) -> tuple[float, float]:  # noqa: D102
         return 0.0, self.parameters["K"] ** 2
 
-    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
-        start = rng.standard_normal() * self.sigma0
-        draws.standard_normal(out, rng)
-        draws.running_sum(out, start, self.parameters["K"] * math.sqrt(dt))
+    def source(self, n: int, dt: float, rng: np.random.Generator) -> Source:  # noqa: D102
+        start, total = rng.standard_normal() * self.sigma0, 0.0
+
+        def following(out: Array) -> None:
+            nonlocal total
+            draws.standard_normal(out, rng)
+            total = draws.running_sum(out, start, self.parameters["K"] * math.sqrt(dt), total)
+
+        return following
 
 
 @dataclass(frozen=True)
@@ -114,8 +120,15 @@ class DR(Process):
     def markov_parts(self, dt: float) -> MarkovParts:  # noqa: D102
         return MarkovParts(drift=self.parameters["R"] * dt)
 
-    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
-        np.multiply(self.parameters["R"] * dt, np.arange(1.0, out.size + 1.0), out=out)
+    def source(self, n: int, dt: float, rng: np.random.Generator) -> Source:  # noqa: D102
+        done = 0
+
+        def following(out: Array) -> None:
+            nonlocal done
+            np.multiply(self.parameters["R"] * dt, np.arange(done + 1.0, done + out.size + 1.0), out=out)
+            done += out.size
+
+        return following
 
 
 @dataclass(frozen=True)
@@ -141,5 +154,10 @@ class RC(Process):
         variance = self.parameters["sigma"] ** 2
         return StateBlock(("RC",), np.eye(1), np.zeros((1, 1)), np.ones(1), np.array([[variance]]), 0.0, dt)
 
-    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
-        out[:] = rng.standard_normal() * self.parameters["sigma"]
+    def source(self, n: int, dt: float, rng: np.random.Generator) -> Source:  # noqa: D102
+        value = rng.standard_normal() * self.parameters["sigma"]
+
+        def following(out: Array) -> None:
+            out[:] = value
+
+        return following

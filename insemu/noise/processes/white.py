@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.noise.block import StateBlock
 from insemu.noise.compiled import draws
+from insemu.noise.onward import Source
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import MarkovParts, Process, counts
 
@@ -71,9 +72,12 @@ class WN(Process):
         out[:2] = np.array([2.0, -1.0])[:count] * self.parameters["N"] ** 2 / (m * dt)
         return out
 
-    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
-        draws.standard_normal(out, rng)
-        out *= self.parameters["N"] / math.sqrt(dt)
+    def source(self, n: int, dt: float, rng: np.random.Generator) -> Source:  # noqa: D102
+        def following(out: Array) -> None:
+            draws.standard_normal(out, rng)
+            out *= self.parameters["N"] / math.sqrt(dt)
+
+        return following
 
 
 @dataclass(frozen=True)
@@ -116,5 +120,13 @@ class QN(Process):
         out[:3] = np.array([6.0, -4.0, 1.0])[:count] * (self.parameters["Q"] / (m * dt)) ** 2
         return out
 
-    def fill(self, out: Array, dt: float, rng: np.random.Generator) -> None:  # noqa: D102
-        np.multiply(np.diff(rng.standard_normal(out.size + 1)), self.parameters["Q"] / dt, out=out)
+    def source(self, n: int, dt: float, rng: np.random.Generator) -> Source:  # noqa: D102
+        before = rng.standard_normal(1)
+
+        def following(out: Array) -> None:
+            nonlocal before
+            drawn = np.concatenate([before, rng.standard_normal(out.size)])
+            np.multiply(np.diff(drawn), self.parameters["Q"] / dt, out=out)
+            before = drawn[-1:]
+
+        return following

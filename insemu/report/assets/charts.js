@@ -2,7 +2,7 @@
 // Draws every chart of the page from the numbers that stand in it. Charts of one group share cursor, zoom and switched-off designs.
 (() => {
   const groups = new Map(); // group -> {charts: Set of uPlot over a common x, planes: Set, hidden: Set of labels}
-  const all = []; // functions that draw a chart again
+  const all = new Set(); // functions that draw a chart again
   const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const digits = (v) => (v == null ? "" : Number(v.toPrecision(4)).toString());
   const tick = (v) => { // what stands on an axis
@@ -235,8 +235,9 @@
     return new Blob([rows.join("\n") + "\n"], { type: "text/csv" });
   }
 
-  function chart(holder) {
-    const spec = JSON.parse(holder.querySelector("script[type='application/json']").textContent);
+  const told = (holder) => JSON.parse(holder.querySelector("script[type='application/json']").textContent);
+
+  function chart(holder, spec) { // returns what takes it away again
     if (!groups.has(spec.group)) groups.set(spec.group, { charts: new Set(), planes: new Set(), hidden: new Set() });
     const group = groups.get(spec.group);
     const plot = holder.querySelector(".plot");
@@ -299,10 +300,12 @@
       u.setCursor({ left: u.valToPos(view.x[i], "x"), top: u.bbox.height / 2 / devicePixelRatio });
     };
     draw();
-    new ResizeObserver(() => { if (plot.clientWidth !== width) draw(); }).observe(plot);
-    all.push(draw);
+    const watch = new ResizeObserver(() => { if (plot.clientWidth !== width) draw(); });
+    watch.observe(plot);
+    all.add(draw);
+    return () => { watch.disconnect(); all.delete(draw); group.charts.delete(u); group.planes.delete(flat); if (u) u.destroy(); holder.remove(); };
   }
-  document.querySelectorAll(".chart").forEach(chart);
+  document.querySelectorAll(".chart").forEach((holder) => chart(holder, told(holder)));
 
   const again = () => all.forEach((draw) => draw());
   dark.addEventListener("change", again);
@@ -321,4 +324,74 @@
     bar.append(b);
     holder.after(bar);
   });
+
+  const PAGE = 25; // rows of a long table at a time
+  function ledger(holder) { // a long table: sorted, filtered, and the chart of a row that is chosen
+    const { header, left, rows, chart: shared, charts, of } = told(holder);
+    const make = (tag, parent, set = {}) => { const e = Object.assign(document.createElement(tag), set); parent.append(e); return e; };
+    const bar = make("div", holder, { className: "bar no-print" });
+    const label = make("label", bar, { textContent: "Rows with " });
+    const asked = make("input", label, { type: "search", size: 16 });
+    const number = (text) => { const v = parseFloat(text); return Number.isNaN(v) ? null : v; };
+    let order = rows.map((_, i) => i), first = 0, sorted = null, down = false, away = null, chosen = null;
+    const before = make("button", bar, { type: "button", textContent: "Before", onclick: () => { first -= PAGE; draw(); } });
+    const after = make("button", bar, { type: "button", textContent: "Next", onclick: () => { first += PAGE; draw(); } });
+    const said = make("span", bar);
+    said.setAttribute("aria-live", "polite");
+    make("button", bar, { type: "button", textContent: "Table (CSV)", onclick: () => save("outages.csv",
+      new Blob([[header, ...order.map((i) => rows[i])].map((r) => r.map(quote).join(",")).join("\n") + "\n"], { type: "text/csv" })) });
+    const scroll = make("div", holder, { className: header.length > 11 ? "scroll dense" : "scroll", tabIndex: 0 });
+    const table = make("table", scroll), head = make("tr", make("thead", table)), body = make("tbody", table);
+    const side = (k) => (k < left ? "left" : "");
+    const heads = header.map((name, k) => {
+      const th = make("th", head, { className: side(k), scope: "col" });
+      make("button", th, { type: "button", className: "plain", textContent: name, onclick: () => { down = sorted === k && !down; sorted = k; arrange(); } });
+      return th;
+    });
+    const arrange = () => {
+      const word = asked.value.trim().toLowerCase();
+      order = rows.map((_, i) => i).filter((i) => !word || rows[i].some((c) => c.toLowerCase().includes(word)));
+      if (sorted != null) {
+        const by = (a, b) => {
+          const [x, y] = [rows[a][sorted], rows[b][sorted]], [m, n] = [number(x), number(y)];
+          if (m == null || n == null) return m != null ? -1 : n != null ? 1 : (down ? -1 : 1) * x.localeCompare(y);
+          return (down ? -1 : 1) * (m - n);
+        };
+        order.sort(by);
+      }
+      heads.forEach((th, k) => th.setAttribute("aria-sort", k !== sorted ? "none" : down ? "descending" : "ascending"));
+      first = 0;
+      draw();
+    };
+    const show = (i) => {
+      chosen = i;
+      if (away) away();
+      const [name, spans, x, ...y] = charts[of[i]];
+      const view = { ...shared.views[0], name, x, series: shared.views[0].series.map((s, k) => ({ ...s, y: y[k] })) };
+      const figure = make("figure", holder, { className: "chart" });
+      make("div", figure, { className: "bar no-print" });
+      make("div", figure, { className: "plot" });
+      make("figcaption", figure, { textContent: `${name}. ${shared.caption}` });
+      away = chart(figure, { ...shared, name, spans, views: [view], said: "" });
+      draw();
+    };
+    const draw = () => {
+      body.replaceChildren();
+      for (const i of order.slice(first, first + PAGE)) {
+        const tr = make("tr", body, { className: i === chosen ? "strong" : "" });
+        rows[i].forEach((cell, k) => {
+          const td = make("td", tr, { className: side(k) });
+          if (k === left - 1 && charts) make("button", td, { type: "button", className: "plain", textContent: cell, onclick: () => show(i) });
+          else td.textContent = cell;
+        });
+      }
+      before.disabled = first === 0;
+      after.disabled = first + PAGE >= order.length;
+      said.textContent = order.length ? `${first + 1} to ${Math.min(first + PAGE, order.length)} of ${order.length}` : "no row";
+    };
+    asked.oninput = arrange;
+    arrange();
+    if (charts) show(order[0]);
+  }
+  document.querySelectorAll(".ledger").forEach(ledger);
 })();
