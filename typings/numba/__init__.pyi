@@ -19,4 +19,5 @@ def njit(
     fastmath: bool | set[str] = ...,
     inline: str = ...,
     error_model: str = ...,
+    no_cpython_wrapper: bool = ...,
 ) -> Callable[[_F], _F]: ...
