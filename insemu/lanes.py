@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import types
+from numba import njit, types
 from numba.core import cgutils
 from numba.core.imputils import impl_ret_borrowed
 from numba.core.typeconv import Conversion
@@ -275,6 +275,14 @@ def _as_lanes(context: Any, values: Any) -> Any:
     return out(values), generate
 
 
+@njit(nogil=True, no_cpython_wrapper=True)  # what it returns is nothing to Python
+def _room(size: int) -> Any:
+    """Zeros that begin where a vector of the processor does."""
+    room = np.zeros(LANES * (size + 1))
+    first = -(room.ctypes.data // 8) % LANES
+    return _as_lanes(room[first : first + LANES * size].reshape((size, LANES)))
+
+
 def zeros(like: Any, shape: Any) -> Any:
     """Zeros of the same kind as those of an array; in compiled code.
 
@@ -286,20 +294,13 @@ def zeros(like: Any, shape: Any) -> Any:
     """
 
 
-@overload(zeros, strict=False)
+@overload(zeros, strict=False, inline="always")  # so that the compiler knows the shapes
 def _zeros(like: Any, shape: Any) -> Any:
     if like.dtype != lanes:
         return lambda like, shape: np.zeros(shape)
-
-    def one(like: Any, shape: Any) -> Any:
-        room = np.zeros(LANES * (shape + 1))
-        first = -(room.ctypes.data // 8) % LANES
-        return _as_lanes(room[first : first + LANES * shape].reshape((shape, LANES)))
-
-    def two(like: Any, shape: Any) -> Any:
-        return zeros(like, shape[0] * shape[1]).reshape(shape)
-
-    return one if isinstance(shape, types.Integer) else two
+    if isinstance(shape, types.Integer):
+        return lambda like, shape: _room(shape)
+    return lambda like, shape: _room(shape[0] * shape[1]).reshape(shape)
 
 
 @intrinsic

@@ -116,8 +116,9 @@ def test_the_effort_is_said_and_what_does_not_fit_is_refused(tmp_path: Path, mon
     monkeypatch.setattr("insemu.evaluate.ahead.memory_there", lambda: 1e6)
     with pytest.raises(InputError, match="GiB are free"):
         effort([experiment], 1)
-    # signals of one at a time 1.15 MB, of two 1.73; results of 61 epochs, 0.16 MB
-    monkeypatch.setattr("insemu.evaluate.ahead.memory_there", lambda: 1.4e6)
-    effort([experiment], 1)
+    # signals of the world 0.6 MB, of eight side by side 4.6, of all twelve 6.9; results of 61 epochs, 1 MB
+    many = Experiment(load(tmp_path / "s.yaml", overrides={"realizations": 12}), tmp_path / "s.yaml")
+    monkeypatch.setattr("insemu.evaluate.ahead.memory_there", lambda: 7e6)
+    effort([many], 1)
     with pytest.raises(InputError, match="--workers"):
-        effort([experiment], 2)
+        effort([many], 2)

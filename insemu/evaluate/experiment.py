@@ -390,26 +390,36 @@ class Experiment:
     def _flown(self, name: str, realized: Sequence[_Realized]) -> list[dict[str, Any]]:
         """One design through some realizations."""
         prepared = [self._prepared(name, one) for one in realized]
-        first = prepared[0].ekf
-        if isinstance(first, LooselyCoupledEKF) and all(p.ekf is first for p in prepared) and self.gpu is None:
-            runs: list[FilterResult | InputError] = first.run_many(
-                [p.imu for p in prepared],
-                [p.gnss for p in prepared],
-                [one.start for one in realized],
-                realized[0].start_sigma,
-                aids=[p.aids for p in prepared],
-            )
-        else:
-            runs = []
-            for p, one in zip(prepared, realized, strict=True):
+        runs: dict[int, FilterResult | InputError] = {}
+        # rests are another list of updates in every realization
+        together = self.gpu is None and self.scenario.designs[name].options.zero_updates is None
+        for k, (p, one) in enumerate(zip(prepared, realized, strict=True)):
+            if k in runs:
+                continue
+            if together and isinstance(own := p.ekf, LooselyCoupledEKF):
+                same = [j for j in range(k, len(prepared)) if self._alike(own, prepared[j].ekf)]
+                flown = own.run_many(
+                    [prepared[j].imu for j in same],
+                    [prepared[j].gnss for j in same],
+                    [realized[j].start for j in same],
+                    one.start_sigma,
+                    aids=[prepared[j].aids for j in same],
+                )
+                runs |= dict(zip(same, flown, strict=True))
+            else:
                 aids = {"aids": p.aids} if p.aids else {}  # a user's filter need not know of them
-                runs.append(p.ekf.run(p.imu, p.gnss, one.start, one.start_sigma, **aids))
+                runs[k] = p.ekf.run(p.imu, p.gnss, one.start, one.start_sigma, **aids)
         out = []
-        for one, p, run in zip(realized, prepared, runs, strict=True):
-            if isinstance(run, InputError):
+        for k, (one, p) in enumerate(zip(realized, prepared, strict=True)):
+            if isinstance(run := runs[k], InputError):
                 raise run
             out.append(self._judged(name, one, p, run))
         return out
+
+    @staticmethod
+    def _alike(one: LooselyCoupledEKF, other: NavigationFilter) -> bool:
+        """Whether two filters of a design are the same; threads may have made one each."""
+        return other is one or (isinstance(other, LooselyCoupledEKF) and other.options == one.options)
 
     def _prepared(self, name: str, one: _Realized) -> _Prepared:
         """What a design's filter is fed of a realization."""

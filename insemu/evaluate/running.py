@@ -40,7 +40,7 @@ FULL = 48
 #: Realizations under way or waiting for their turn, per worker: what bounds the memory.
 AHEAD = 3
 #: Samples of realizations that fly side by side: their records, and what the filter takes of them, are in memory at the same time.
-SAMPLES = 2_000_000
+SAMPLES = 1_000_000
 
 
 def silent(done: int, total: int, label: str) -> None:

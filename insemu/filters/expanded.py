@@ -54,7 +54,7 @@ def grid(E: Array) -> tuple[int, int, int]:
     raise NotImplementedError
 
 
-@overload(grid, strict=False)
+@overload(grid, strict=False, inline="always")
 def _grid(E: Any) -> Any:
     if E.dtype == lanes:
         return lambda E: LANES_GRID
@@ -435,7 +435,7 @@ def predict(
     T, work : (15 * LD,), (LD * LD,) arrays
         Working space.
     """
-    ld, first, wide = grid(E)
+    ld, first, _ = grid(E)
     end = first + columns_of(E, slots)
     if slots > 0:
         if diagonal:
@@ -451,7 +451,7 @@ def predict(
         E[(U + a) * ld + U + a] += white[a]
     apply_map(w, half, E, end)
     _transpose(E, T)
-    apply_map(w, half, T, first if wide == 8 else 9)
+    apply_map(w, half, T, first)
     for i in range(9):
         for j in range(9):
             # of two sums that differ in rounding one is kept
