@@ -14,6 +14,7 @@ from insemu.formats import Opened, holds_recording, layout_of, open_files, read,
 from insemu.formats import clocks as clock
 from insemu.formats.columns import guess_map, parse_map, split_header
 from insemu.records import COLUMNS, Recording
+from insemu.stamps import Origin
 from tests.file_samples import KINDS, RATE, SOW, UNIX, drive, mapped_csv
 
 
@@ -36,7 +37,8 @@ def _as_recording(written) -> Recording:  # type: ignore[no-untyped-def]
     block = np.column_stack(log.columns)
     t = log.t if log.t is not None else np.arange(len(log)) / log.rate_hz
     assert log.names == COLUMNS
-    return Recording(replace(drive().imu, t=t, gyro=block[:, :3], accel=block[:, 3:], temperature=None))
+    imu = replace(drive().imu, t=t, gyro=block[:, :3], accel=block[:, 3:], temperature=None)
+    return Recording(imu, origin=Origin(log.start))
 
 
 @pytest.mark.parametrize("name", KINDS)

@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import rotation
-from insemu.augment import StateLayout
 from insemu.denoise import delayed_approximation, denoise
 from insemu.effects import compensated, lever_arm_of
 from insemu.emulate import TrueStates
 from insemu.errors import InputError
-from insemu.evaluate.consistency import block_nees, lag_products, observability, sensor_errors, unaided_sigma
+from insemu.evaluate.consistency import unaided_sigma
 from insemu.evaluate.dataset import of_designs
 from insemu.evaluate.held import HELD, key_of
 from insemu.evaluate.recorded import RecordedWorld
+from insemu.evaluate.scores import run_scores, sensor_scores
 from insemu.evaluate.stretched import Stretch, StretchedWorld, emulated_world
 from insemu.evaluate.world import Estimate, World, implausible, static_logs, stream
 from insemu.filters import (
@@ -188,7 +188,8 @@ class Experiment:
         """What every design believes, models fitted where the scenario says so; the same for all scenarios that differ in nothing it depends on."""
         told = self.scenario.model_dump(mode="json", include={"designs", "truth", "fits", "seed"})
         key = key_of([told, self.rate_hz], [file for _, file in sorted(self.world.files.items())])
-        return HELD.get(("beliefs", key), self._resolved)
+        held = HELD.get(("beliefs", key), self._resolved)
+        return {name: held[name] for name in self.scenario.designs}  # in the order of this scenario
 
     def _resolved(self) -> dict[str, Belief]:
         done: dict[tuple[str, int], FitResult] = {}  # a log is fitted once per structure and method
@@ -396,7 +397,9 @@ class Experiment:
         for k, (p, one) in enumerate(zip(prepared, realized, strict=True)):
             if k in runs:
                 continue
-            if together and isinstance(own := p.ekf, LooselyCoupledEKF):
+            own = p.ekf
+            # a filter that is derived from insemu's own may run in another way
+            if together and isinstance(own, LooselyCoupledEKF) and type(own).run is LooselyCoupledEKF.run:
                 same = [j for j in range(k, len(prepared)) if self._alike(own, prepared[j].ekf)]
                 flown = own.run_many(
                     [prepared[j].imu for j in same],
@@ -445,8 +448,8 @@ class Experiment:
         true = p.true
         if true is not None and not np.allclose(times, self.world.output_times, rtol=0, atol=0.5 / self.rate_hz):
             true = None
-        found |= self._sensors(p.ekf, run, p.known, p.rows, found["error"], true, p.unaided)
-        return found | _counted(run.layout, run.fixes) | {"epochs": run.epochs, "seconds": run.seconds}
+        found |= sensor_scores(p.ekf, run, p.known, p.rows, self._whole(found["error"]), true, p.unaided)
+        return found | run_scores(run.layout, run.fixes) | {"epochs": run.epochs, "seconds": run.seconds}
 
     def _stretched(self, world: StretchedWorld, index: int) -> dict[str, dict[str, Any]]:
         """Every design through one realization of a flight in stretches; the filter's states and covariance are handed from one to the next."""
@@ -474,7 +477,7 @@ class Experiment:
             last = runs[name][-1]
             table = FixTable.joined([run.fixes for run in runs[name]])
             sums = {"epochs": sum(r.epochs for r in runs[name]), "seconds": sum(r.seconds for r in runs[name])}
-            out[name] = arrays | _counted(last.layout, table) | sums
+            out[name] = arrays | run_scores(last.layout, table) | sums
         return out
 
     def _onward(
@@ -491,7 +494,7 @@ class Experiment:
             raise InputError("a level that follows a covariate needs the flight as a whole", where=f"designs.{name}")
         run = made.run(part.imu, fixes, start, sigma, initial_states=states)
         found = asdict(self.world.score(Estimate.of_filter(run, times), times))
-        found |= self._sensors(made, run, part.imu, part.rows, found["error"], part.true, unaided)
+        found |= sensor_scores(made, run, part.imu, part.rows, self._whole(found["error"]), part.true, unaided)
         return found, run
 
     def _ready(
@@ -524,44 +527,9 @@ class Experiment:
             if not any(start < b and a < start + duration for start, duration in self.world.outage_windows)
         )
 
-    def _sensors(
-        self,
-        ekf: NavigationFilter,
-        run: FilterResult,
-        imu: ImuRecord,
-        rows: NDArray[np.intp],
-        error: Array,
-        true: TrueStates | None,
-        unaided: Array,
-    ) -> dict[str, Array]:
-        """NEES of every block, errors and stated standard deviations of what the filter says about its axes, observability of its states."""
-        times = imu.t[rows]
-        if self.world.compared < 9:  # errors against fixes hold the fixes' own, which this covariance does not
-            error = np.full_like(error, np.nan)
-        covariance = run.covariance[np.searchsorted(run.covariance_t, times - 1e-9).clip(0, len(run.covariance) - 1)]
-        if not isinstance(ekf, LooselyCoupledEKF):  # what its further states mean is not known
-            nothing = np.full((len(rows), 6), np.nan)
-            unknown = np.full((len(rows), covariance.shape[1] - 9), np.nan)
-            return {
-                "block_nees": block_nees(error, covariance),
-                "axis_error": nothing,
-                "axis_sigma": nothing,
-                "observability": unknown,
-            }
-        whole = imu.as_increments()
-        step = (whole.t[np.maximum(rows, 1)] - whole.t[np.maximum(rows, 1) - 1])[:, None]
-        measured = np.hstack([part[rows] for part in ekf.augmentation.sensed(whole)]) / step
-        at = np.searchsorted(run.t, times - 1e-9)
-        axes, states, names = (None, None, ()) if true is None else (true.axes, true.states, true.names)
-        sensed = sensor_errors(run, ekf.augmentation, at, covariance, measured, axes, states, names)
-        return {
-            "block_nees": block_nees(error, covariance, sensed),
-            "axis_error": sensed.axes,
-            "axis_sigma": np.sqrt(np.maximum(np.einsum("kii->ki", sensed.axes_covariance), 0.0)),
-            "observability": observability(
-                np.sqrt(np.maximum(np.einsum("kii->ki", covariance[:, 9:, 9:]), 0.0)), unaided
-            ),
-        }
+    def _whole(self, error: Array) -> Array:
+        """Errors that belong to the filter's covariance: those against fixes hold the fixes' own and do not."""
+        return np.full_like(error, np.nan) if self.world.compared < 9 else error
 
     def compensated(self, design: str, recording: Recording, start: NavState, sigma: InitialSigma) -> Recording:
         """The data less the effects that a design knows of.
@@ -617,22 +585,6 @@ class Experiment:
 
 #: Where a filter begins: navigation state, what is believed of it, estimates of the other states.
 _Begun = tuple[NavState, InitialSigma | Array, Array | None]
-
-
-def _counted(layout: StateLayout, fixes: FixTable) -> dict[str, Any]:
-    """What is said of a run as a whole."""
-    used = fixes.accepted
-    lag_sum, lag_count = lag_products(fixes) if used.any() else (np.zeros(5), np.zeros(5))
-    return {
-        "states": layout.n,
-        "state_name": layout.names[9:],
-        "nis": fixes.nis[used].sum(),
-        "dof": fixes.dof[used].sum(),
-        "lag_sum": lag_sum,
-        "lag_count": lag_count,
-        "rejected": len(fixes.rejected),
-        "fixes": np.count_nonzero(fixes.dof),
-    }
 
 
 def _fit_key(source: AxisSource, log: Series) -> tuple[str, int]:

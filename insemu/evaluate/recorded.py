@@ -115,7 +115,7 @@ class RecordedWorld:
             g.velocity_sigma if "velocity_sigma" in asked else None,
         )
         self.warnings += tuple(
-            f"{self.source.file}: {said} (the scenario's gnss states them)"
+            f"{self.source.file}: {said} (gnss.{'position' if what == 'positions' else 'velocity'}_sigma states them)"
             for what, said in assumed.items()
             if what == "positions" or g.velocity_sigma is not None
         )
