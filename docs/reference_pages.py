@@ -432,7 +432,8 @@ def limits() -> list[str]:
         "| --- | --- | --- |",
         *(f"| {what} | {value:,.0f} | `insemu.{name}` |" for what, value, name in rows),
         "",
-        f"`run` and `compare` print time and memory beforehand: from {slow:,.0f} to {fast:,.0f} filter epochs per second and core, "
+        f"`run` and `compare` print time and memory beforehand: from {slow:,.0f} to {fast:,.0f} filter epochs per second and core "
+        "with eight realizations side by side, "
         f"{emulated.BYTES_PER_SAMPLE} bytes per sample of a flight for the reference and for each realization that is flown at a time. "
         "What wants more memory than the system says is free is refused. "
         f"An emulated recording takes {table.SAMPLE_BYTES} bytes per sample, a path {table.KNOT_BYTES} per knot; "

@@ -11,9 +11,10 @@ from insemu.evaluate.emulated import BYTES_PER_SAMPLE
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.running import FULL, most
 from insemu.evaluate.stretched import STRETCH, StretchedWorld
+from insemu.lanes import LANES
 
-#: Filter epochs that one core does in a second: 15 to 45 states, see benchmarks/filters.py.
-EPOCHS_PER_SECOND = (0.4e6, 1.2e6)
+#: Filter epochs that one core does in a second with every lane taken: 45 to 15 states, see benchmarks/filters.py. Free lanes save nothing.
+EPOCHS_PER_SECOND = (1.2e6, 5e6)
 #: States behind the navigation that a design is taken to have: no model is fitted yet, and few designs have more.
 STATES = 36
 #: How often results are held while they are gathered: realization by realization, put together, and written.
@@ -44,12 +45,14 @@ def effort(experiments: Sequence[Experiment], workers: int) -> str:
     InputError
         They want more memory than there is.
     """
-    epochs, flying, kept, gathered = 0.0, 0.0, 0.0, 0.0
+    epochs, lanes, flying, kept, gathered = 0.0, 0.0, 0.0, 0.0, 0.0
     for e in experiments:
         at_a_time = min(workers * most(e), e.realizations)
         samples = e.samples
         held = min(samples, float(STRETCH)) if isinstance(e.world, StretchedWorld) else samples
         epochs += samples * e.realizations * len(e.scenario.designs)
+        beside = -(-e.realizations // min(workers, e.realizations))
+        lanes += samples * e.realizations * len(e.scenario.designs) * (1.0 if e.gpu else LANES / min(most(e), beside))
         kept += (
             held * BYTES_PER_SAMPLE
         )  # the worlds of all experiments are there from the start, their results to the end
@@ -67,7 +70,7 @@ def effort(experiments: Sequence[Experiment], workers: int) -> str:
             where=str(experiments[0].file or "scenario"),
         )
     cores = min(workers, max(e.realizations for e in experiments))
-    short, long = (epochs / rate / cores for rate in reversed(EPOCHS_PER_SECOND))
+    short, long = (lanes / rate / cores for rate in reversed(EPOCHS_PER_SECOND))
     return (
         f"{epochs:.3g} filter epochs: about {_duration(short)} to {_duration(long)} in the filters with {cores} worker(s), "
         f"and {max(wanted / 2**20, 1):.0f} MiB of memory"
