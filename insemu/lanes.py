@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.core.imputils import impl_ret_borrowed
 from numba.core.typeconv import Conversion
@@ -31,6 +31,8 @@ from numba.extending import (
 )
 from numba.np.arrayobj import populate_array
 from numpy.typing import ArrayLike, NDArray
+
+from insemu.compiled import njit
 
 Array = NDArray[np.float64]
 
