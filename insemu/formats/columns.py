@@ -378,14 +378,20 @@ _SINGLE: Mapping[str, tuple[frozenset[str], ...]] = {
     "pos_std_v": tuple(map(frozenset, ({"vertical", "accuracy"}, {"vacc"}, {"epv"}))),
     "week": tuple(map(frozenset, ({"week"},))),
 }
+
+
+def _per_axis(*beginnings: str) -> tuple[tuple[str, str, str], ...]:
+    """Names of north, east and vertical columns by how they begin; a standard deviation is the same up and down."""
+    return tuple((f"{b}n", f"{b}e", f"{b}{vertical}") for b in beginnings for vertical in "du")
+
+
 _VECTORS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
     "vel_ned": (("vn", "ve", "vd"), ("v_n", "v_e", "v_d"), ("vel_n", "vel_e", "vel_d"), ("vnorth", "veast", "vdown"),
                 ("vel_n_m_s", "vel_e_m_s", "vel_d_m_s"), ("north velocity", "east velocity", "down velocity")),
     "vel_enu": (("ve", "vn", "vu"), ("east velocity", "north velocity", "up velocity"), ("vel_e", "vel_n", "vel_u"),
                 ("v_e", "v_n", "v_u")),
-    "pos_std_ned": (("pos_std_n", "pos_std_e", "pos_std_d"), ("sdn", "sde", "sdd"), ("std_n", "std_e", "std_d"),
-                    ("sdn", "sde", "sdu")),
-    "vel_std_ned": (("vel_std_n", "vel_std_e", "vel_std_d"), ("sdvn", "sdve", "sdvd"), ("sdvn", "sdve", "sdvu")),
+    "pos_std_ned": _per_axis("pos_std_", "sd", "sd_", "std_", "sigma_", "pos_sigma_", "std_pos_", "sigma_pos_"),
+    "vel_std_ned": _per_axis("vel_std_", "sdv", "sdv_", "sd_v", "std_v", "std_v_", "sigma_v", "sigma_v_", "vel_sigma_", "std_vel_", "sigma_vel_"),
     "rpy": (("roll", "pitch", "heading"), ("roll", "pitch", "yaw")),
 }  # fmt: skip
 _TIME_WORDS = ("time", "timestamp", "t", "stamp", "tow", "sow", "timestamps", "seconds", "secs", "sec", "datetime", "utc", "date")  # fmt: skip
