@@ -24,10 +24,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "table3_synthetic.yaml"
 #: Parts, with the functions (module, name) in which they are; those of every realization, then those of the whole run.
 EACH: dict[str, list[tuple[str, str]]] = {
-    "kernel": [("insemu.filters", "LooselyCoupledEKF.run"), ("insemu.evaluate.experiment", "smooth")],
+    "kernel": [
+        *(("insemu.filters", f"LooselyCoupledEKF.{run}") for run in ("run", "run_many")),
+        ("insemu.evaluate.experiment", "smooth"),
+    ],
     "flight": [("insemu.evaluate.emulated", "EmulatedWorld.realized")],
     "draws": [("insemu.emulate.pieces", "ErrorPieces.piece")],
-    "judging": [("insemu.evaluate", "Experiment.realization")],
+    "judging": [("insemu.evaluate", "Experiment.side_by_side")],
     "keeping": [("insemu.work", "Files.put")],
 }
 ONCE: dict[str, list[tuple[str, str]]] = {
