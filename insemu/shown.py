@@ -23,6 +23,11 @@ def few(lines: list[str], most: int = MOST_LINES) -> str:
     )
 
 
+def count_of(count: int, what: str) -> str:
+    """A number of things in words: ``1 realization``, ``24 realizations``."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
 def finite(document: Any) -> Any:
     """The same document with numbers that are not finite as None, which JSON can say."""
     if isinstance(document, dict):

@@ -151,7 +151,7 @@ def test_shards_in_any_order_and_twice_make_the_run(
         assert run(str(path), "--shard", f"{k}/4", "--out", str(out)) == 0
     capsys.readouterr()
     assert merge(out) == 2
-    assert "missing or not finished: 3/4 (1 realizations)" in capsys.readouterr().err
+    assert "missing or not finished: 3/4 (1 realization)" in capsys.readouterr().err
     assert not (out / "summary.json").exists()
     assert run(str(path), "--shard", "2/2", "--out", str(out)) == 0
     assert run(str(path), "--shard", "1/2", "--out", str(out)) == 0

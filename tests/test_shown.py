@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from insemu.shown import with_interval
+from insemu.shown import count_of, with_interval
 
 
 @pytest.mark.parametrize(
@@ -18,3 +18,7 @@ from insemu.shown import with_interval
 )
 def test_an_interval_has_the_digits_that_tell_its_ends_apart(numbers, said) -> None:
     assert with_interval(*numbers) == said
+
+
+def test_one_thing_is_counted_in_the_singular() -> None:
+    assert [count_of(n, "realization") for n in (0, 1, 24)] == ["0 realizations", "1 realization", "24 realizations"]

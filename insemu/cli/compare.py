@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from insemu.cli.counts import DRAWS, WORKERS
+from insemu.shown import count_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -103,7 +104,7 @@ def _show(console: Console, rows: list[ComparisonRow], realizations: int, base: 
     from insemu.report import COLUMNS, comparison_answer, comparison_rows
 
     console.print(comparison_answer(rows, base), style="bold", highlight=False, markup=False)
-    title = f"Planimetric error at outage end, {realizations} realizations, against {base}"
+    title = f"Planimetric error at outage end, {count_of(realizations, 'realization')}, against {base}"
     print_table(console, title, *comparison_rows(rows), left=1, fit=True, gap=lambda row: False)
     console.print(COLUMNS, style="dim", soft_wrap=True)
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from insemu.cli.counts import DRAWS, WORKERS
+from insemu.shown import count_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -83,7 +84,7 @@ def command(
         results = fly("recording")
         Baseline.of(results).write(baseline)
         console.print(
-            f"Recorded {len(results.names)} design(s), {results.realizations} realizations, seed {results.seed}: {baseline}",
+            f"Recorded {count_of(len(results.names), 'design')}, {count_of(results.realizations, 'realization')}, seed {results.seed}: {baseline}",
             soft_wrap=True,
         )
         return

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from insemu.cli.counts import DRAWS, LINEAR, WORKERS
+from insemu.shown import count_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -211,13 +212,13 @@ def fly_until(
                 )  # fmt: skip
             seen = goal.look(results, number)
             console.print(
-                f"{seen.realizations} realizations: {text.partition(' within ')[0]} {seen.value:.4g} ({seen.low:.4g} to {seen.high:.4g})",
+                f"{count_of(seen.realizations, 'realization')}: {text.partition(' within ')[0]} {seen.value:.4g} ({seen.low:.4g} to {seen.high:.4g})",
                 soft_wrap=True, highlight=False, markup=False,
             )  # fmt: skip
             if seen.reached:
                 break
         else:
-            console.print(f"Not reached with {count} realizations, the most there can be.", style="red")
+            console.print(f"Not reached with {count_of(count, 'realization')}, the most there can be.", style="red")
     for each in experiments.values():
         each.scenario = each.scenario.model_copy(update={"realizations": count})
 
@@ -386,7 +387,7 @@ def flown(
 
     def preview(first: Results) -> None:
         if (said := answer(first)) is not None:
-            text = f"After {first.realizations} realizations and {first.timing['wall_seconds']:.0f} s of flying: {said.sentence}"
+            text = f"After {count_of(first.realizations, 'realization')} and {first.timing['wall_seconds']:.0f} s of flying: {said.sentence}"
             console.print(text, soft_wrap=True, highlight=False, markup=False)
 
     workers, pool = means
@@ -439,7 +440,9 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     said = answer(main)
     if said:
         console.print(f"{said.sentence}\n", markup=False, highlight=False, style="bold")
-    title = f"{report.variant_caption(main)}: means over {main.realizations} realizations (seed {main.seed})"
+    title = (
+        f"{report.variant_caption(main)}: means over {count_of(main.realizations, 'realization')} (seed {main.seed})"
+    )
     print_table(console, title, *report.short_headline(main), fit=True)
     console.print(
         "(states). verdict: of the NEES at outage end. error: planimetric. stated: the filter's own horizontal sigma at outage end, m. in 3 s: "

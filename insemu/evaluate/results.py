@@ -23,7 +23,7 @@ from insemu.evaluate.errors import (
 from insemu.evaluate.tally import DURING, Ladder, Tally, end_index, tally
 from insemu.noise import NoiseModel
 from insemu.records import Trajectory
-from insemu.shown import Shown, few, finite
+from insemu.shown import Shown, count_of, few, finite
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -100,7 +100,7 @@ class Results(Shown):
         return ladder.total()
 
     def __str__(self) -> str:
-        head = f"{self.title}: {len(self.designs)} designs, {self.realizations} realizations, seed {self.seed}"
+        head = f"{self.title}: {count_of(len(self.designs), 'design')}, {count_of(self.realizations, 'realization')}, seed {self.seed}"
         return few([head, *(f"  {line}" for line in map(_row_words, outage_rows(self)))])
 
     def to_dataframe(self) -> pd.DataFrame:

@@ -11,6 +11,7 @@ from typing import Any
 from insemu.errors import InputError
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.running import not_kept
+from insemu.shown import count_of
 from insemu.whole import put
 
 #: Folder of the notes that shards leave: what they belong to.
@@ -107,5 +108,7 @@ def check_complete(experiments: Mapping[str, Experiment], folder: Path, cache: P
             if left := len(gone & set(Shard(number, count).realizations(experiment.realizations))):
                 missing[number] = missing.get(number, 0) + left
     if missing:
-        names = ", ".join(f"{number}/{count} ({left} realizations)" for number, left in sorted(missing.items()))
+        names = ", ".join(
+            f"{number}/{count} ({count_of(left, 'realization')})" for number, left in sorted(missing.items())
+        )
         raise InputError(f"these shards are missing or not finished: {names}", where=str(folder))

@@ -13,6 +13,7 @@ from insemu.report import page
 from insemu.report.charts import GREY, Chart, Line, View, strokes
 from insemu.report.experiment_charts import colour, end_chart, error_chart
 from insemu.report.tables import Table
+from insemu.shown import count_of
 
 if TYPE_CHECKING:
     from insemu.evaluate import Change, ComparisonRow, Results
@@ -105,7 +106,8 @@ def render_comparison(
         kind="compare",
         source=source,
         answer=comparison_answer(rows, base),
-        lead=f"Planimetric error at outage end, {results.realizations} realizations in which every design flies the same data, against {base}.",
+        lead=f"Planimetric error at outage end, {count_of(results.realizations, 'realization')} in which every design flies the same data, "
+        f"against {base}.",
         cards=cards,
     )
 

@@ -38,13 +38,14 @@ from insemu.report.tables import (
     variant_caption,
     variant_rows,
 )
+from insemu.shown import count_of
 from insemu.units import datasheet
 
 
 def _tables(results: Results) -> list[Block]:
     caption = (
-        f"Planimetric error at outage end, mean over {results.realizations} realizations with its interval by bootstrap over them; what the "
-        "filter states there; altitude; cover: errors inside 3 sigma during the outage. Verdict: on the NEES at the end of the outage."
+        f"Planimetric error at outage end, mean over {count_of(results.realizations, 'realization')} with its interval by bootstrap over them; "
+        "what the filter states there; altitude; cover: errors inside 3 sigma during the outage. Verdict: on the NEES at the end of the outage."
     )
     if many(results):
         header, rows = full_headline(results)
@@ -146,7 +147,9 @@ def render_experiment(
         kind="run",
         source=str(main.manifest.get("scenario_file", "")),
         answer=said.sentence if said else "",
-        lead=" ".join(part for part in (text.get("question", ""), f"{main.realizations} realizations.") if part),
+        lead=" ".join(
+            part for part in (text.get("question", ""), f"{count_of(main.realizations, 'realization')}.") if part
+        ),
         cards=[_card(s, main) for s in said.standings] if said else (),
         pictures=pictures,
     )
@@ -200,11 +203,15 @@ def _made(main: Results, notes: str) -> list[Block]:
     made: list[Block] = [Text(part.strip()) for part in notes.split("\n\n") if part.strip()]
     made += [Text(f"Warning: {warning}.") for warning in manifest.get("warnings", ())]
     wall, epochs = main.timing["wall_seconds"], main.timing["filter_epochs"]
+    by = [f"Seed {main.seed}", f"digest {main.digest}", f"insemu {manifest.get('insemu')}"]
+    by += [f"revision {manifest['git']}"] if manifest.get("git") else []
+    path = ""
+    if manifest.get("scenario", {}).get("trajectory"):  # a recording asks for no path
+        path = f" The emulated path is within {1e3 * float(manifest.get('ideal_imu_distance_m', np.nan)):.3g} mm of the requested one."
     made.append(
         Text(
-            f"{main.realizations} realizations, {epochs:,} filter epochs, {main.timing['filter_seconds']:.1f} s in the filters, {wall:.1f} s in "
-            f"all. Seed {main.seed}, digest {main.digest}, insemu {manifest.get('insemu')}, revision {manifest.get('git')}. The emulated path "
-            f"is within {1e3 * float(manifest.get('ideal_imu_distance_m', np.nan)):.3g} mm of the requested one."
+            f"{count_of(main.realizations, 'realization')}, {epochs:,} filter epochs, {main.timing['filter_seconds']:.1f} s in the filters, "
+            f"{wall:.1f} s in all. {', '.join(by)}.{path}"
         )
     )
     scenario = yaml.safe_dump(manifest.get("scenario", {}), sort_keys=False, allow_unicode=True)

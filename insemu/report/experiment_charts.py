@@ -14,6 +14,7 @@ from insemu import earth
 from insemu.evaluate import Results, chi_square_bounds, chosen, outage_table, within_outage
 from insemu.report.charts import GREY, INK, RED, Chart, Line, View, positive, strokes
 from insemu.report.style import COLOURS
+from insemu.shown import count_of
 
 Array = NDArray[np.float64]
 
@@ -97,7 +98,7 @@ def outage_charts(results: Results) -> list[Chart]:
             ]
         view = View("", "planimetric position (m)", lines, log_y=True)
         name = f"Outage {k + 1}, {duration:.3g} s from {start / 60:.4g} min"
-        caption = f"Rms error of every design over {results.realizations} realizations (solid) and the sigma it states (dashed)."
+        caption = f"Rms error of every design over {count_of(results.realizations, 'realization')} (solid) and the sigma it states (dashed)."
         t = np.round(results.t[at] - start, 2)
         out.append(
             Chart(
@@ -148,8 +149,8 @@ def error_chart(results: Results) -> Chart:
             views.append(View(f"{name}, rms error", f"{name} ({unit})", lines, log_y=True, printed=printed))
     return _over_time(
         "Error growth",
-        f"Rms error of every design over {results.realizations} realizations (solid) and the sigma it states (dashed); spans without GNSS are "
-        "grey. Drag to zoom, double-click to undo; a click on a name switches it.",
+        f"Rms error of every design over {count_of(results.realizations, 'realization')} (solid) and the sigma it states (dashed); spans without "
+        "GNSS are grey. Drag to zoom, double-click to undo; a click on a name switches it.",
         results.t[at] / 60.0,
         views=views,
         spans=_spans(results),

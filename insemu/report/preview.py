@@ -8,6 +8,7 @@ from typing import Any
 
 from insemu.report.page import Items, Section, Table, render
 from insemu.report.tables import Table as Cells
+from insemu.shown import count_of
 
 #: What the columns are.
 PREVIEWED = (
@@ -77,5 +78,5 @@ def render_preview(document: Mapping[str, Any], source: str, folder: str | Path)
         kind="run",
         source=source,
         answer=answer,
-        lead=f"{document['realizations']} realizations to first order; nothing was flown at the full rate.",
+        lead=f"{count_of(document['realizations'], 'realization')} to first order; nothing was flown at the full rate.",
     )

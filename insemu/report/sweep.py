@@ -14,6 +14,7 @@ from insemu.report.charts import INK, Chart, Line, View
 from insemu.report.experiment_charts import colour
 from insemu.report.page import Block, Card, Folded, Items, Section, Table, render
 from insemu.report.tables import Table as Cells
+from insemu.shown import count_of
 from insemu.units import conversion
 
 #: What the columns are.
@@ -245,7 +246,9 @@ def render_sweep(sweep: Sweep, rows: Sequence[Row], folder: str | Path) -> Path:
             )
         )
     way = (
-        f"{sweep.linear} realizations to first order" if sweep.linear else f"{sweep.scenario.realizations} realizations"
+        f"{count_of(sweep.linear, 'realization')} to first order"
+        if sweep.linear
+        else f"{count_of(sweep.scenario.realizations, 'realization')}"
     )
     if beyond := sorted({r.design for r in rows if r.by == "coarse"}):
         way += f" ({', '.join(beyond)}, not linear: runs at long steps, helped by the linear ones)"
