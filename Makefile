@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: demo test test-slow test-target scoreboard scoreboard-release claims claims-nightly lint bench docs links setup smoke wheel lock clean
 
 demo: $(FLOWN)
-	$(BIN)/insemu run scenarios/table3_synthetic.yaml --workers $(WORKERS) --out results/table3_synthetic
+	$(BIN)/insemu run scenarios/table3_synthetic.yaml --workers $(WORKERS) --output results/table3_synthetic
 
 test: $(FLOWN)
 	$(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --dist loadfile
@@ -76,7 +76,7 @@ $(STAMP): pyproject.toml constraints.txt
 	touch $@
 
 $(FLOWN): $(STAMP)
-	$(BIN)/insemu run scenarios/table3_synthetic.yaml --workers $(WORKERS) --realizations 2 --no-pictures --out $(VENV)/first > /dev/null
+	$(BIN)/insemu run scenarios/table3_synthetic.yaml --workers $(WORKERS) --realizations 2 --no-pictures --output $(VENV)/first > /dev/null
 	touch $@
 
 # Renew the versions that were tested: install without constraints in a fresh environment, run the tests, then write what was there.

@@ -19,12 +19,12 @@ from pathlib import Path
 
 #: Commands by what they are to write or read in a folder of their own; each compiles what the ones before it did not.
 PROGRAMS = """
-run table3_synthetic --realizations 2 --workers 1 --no-pictures --out table3
-run outages_smoothed --realizations 2 --workers 1 --no-pictures --no-variants --out smoothed
-emulate gap_static_hidden --out static.npz
-emulate gap_drive_hidden --out drive.npz
+run table3_synthetic --realizations 2 --workers 1 --no-pictures --output table3
+run outages_smoothed --realizations 2 --workers 1 --no-pictures --output smoothed
+emulate gap_static_hidden --output static.npz
+emulate gap_drive_hidden --output drive.npz
 open static.npz
-characterise static.npz --out characterised
+characterise static.npz --output characterised
 fit static.npz --model WN()+RW()
 fit static.npz --model 2*GM()+WN()+QN()+RW() --columns gyro_x --page fit.html
 fit static.npz --model WN()+GM() --columns gyro_z --robust
@@ -32,11 +32,11 @@ fit static.npz --model WN()+AR1() --columns accel_x --method mli
 select static.npz --general GM()+WN()+RW() --columns gyro_y
 watch static.npz --model WN()+GM() --columns gyro_x
 dead-reckon drive.npz
-solve drive.npz --out solved
+solve drive.npz --output solved
 init --like gap_static_nominal
 init --like gap_drive_nominal
-gap gap_static_nominal.yaml --measured static.npz --out gap_static
-gap gap_drive_nominal.yaml --measured drive.npz --out gap_drive
+gap gap_static_nominal.yaml static.npz --output gap_static
+gap gap_drive_nominal.yaml drive.npz --output gap_drive
 compare table3_synthetic --analytic
 run table3_synthetic --linear 100
 designs

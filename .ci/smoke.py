@@ -28,14 +28,14 @@ def insemu(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def smoke(path: Path, command: list[str], out: Path) -> tuple[str, str]:
     """Run a scenario: passed, FAILED or skipped, and what was printed where it did not pass."""
-    run = insemu(command[0], str(path), *command[1:], "--out", str(out / path.stem), "--json")
+    run = insemu(command[0], str(path), *command[1:], "--output", str(out / path.stem), "--json")
     if run.returncode == 2 and ABSENT in run.stderr:
         return "skipped", run.stderr.strip()
     if run.returncode == 0:
         json.loads(run.stdout)
         if command[0] == "gap":  # what was found is a scenario that runs
             refined = str(out / path.stem / "refined.yaml")
-            run = insemu("run", refined, "--realizations", "1", "--no-pictures", "--out", str(out / f"{path.stem}_run"))
+            run = insemu("run", refined, "--realizations", "1", "--no-pictures", "--output", str(out / f"{path.stem}_run"))
     return ("FAILED", f"{run.stdout[-2000:]}\n{run.stderr[-4000:]}") if run.returncode else ("passed", "")
 
 

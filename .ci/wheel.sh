@@ -25,7 +25,7 @@ import numpy as np
 rng = np.random.default_rng(1)
 np.savez("log.npz", data=1e-3 * rng.standard_normal((100_000, 2)), fs=100.0, columns=["gyro_x", "accel_x"], units=["rad/s", "m/s^2"])'
 "$insemu" fit log.npz --model "2*GM() + WN()" > fit.txt
-"$insemu" run table3_synthetic --realizations 2 --out table3 > table3.txt
+"$insemu" run table3_synthetic --realizations 2 --output table3 > table3.txt
 if [ -n "$(find "$NUMBA_CACHE_DIR" -name '*.nb[ic]' 2> /dev/null)" ]; then
   find "$NUMBA_CACHE_DIR" -name '*.nbi' -printf 'wheel: compiled here: %f\n' >&2
   false "kernels are missing from the wheel"
@@ -37,7 +37,7 @@ grep -q '^table3_synthetic:' list.txt
 "$insemu" sensor ADIS16470 > sensor.txt
 grep -q '8 deg/h' sensor.txt
 "$insemu" init --sensor ADIS16470 my.yaml
-"$insemu" run my.yaml --realizations 2 --workers 2 --out my
+"$insemu" run my.yaml --realizations 2 --workers 2 --output my
 test -s my/index.html
 "$insemu" init --like outages_smoothed
 test -s motion/roundabout_and_road.csv

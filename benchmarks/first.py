@@ -62,7 +62,7 @@ def main(wheel: Path) -> None:
             [python, "-c", "import insemu.evaluate"],
             [insemu, "fit", "one.npz", "--model", "2*GM() + WN()"],
             [insemu, "fit", "six.npz", "--model", "2*GM() + WN()"],
-            [insemu, "run", "table3_synthetic", "--realizations", "2", "--out", "table3"],
+            [insemu, "run", "table3_synthetic", "--realizations", "2", "--output", "table3"],
         ):
             first, *later = (cpu(command, folder) for _ in range(4 if len(command) < 4 else 1))
             best = f"{min(later):>9.2f}" if later else f"{'':>9}"

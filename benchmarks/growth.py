@@ -60,7 +60,7 @@ def flight(folder: Path) -> None:
     for hours in HOURS:
         scenario = FLIGHT | {"trajectory": FLIGHT["trajectory"] | {"duration": f"{hours} h"}}
         (folder / "flight.yaml").write_text(yaml.safe_dump(scenario), encoding="utf-8")
-        arguments = ("run", "flight.yaml", "--workers", "1", "--no-pictures", "--overwrite", "--out", f"flight_{hours}")
+        arguments = ("run", "flight.yaml", "--workers", "1", "--no-pictures", "--overwrite", "--output", f"flight_{hours}")
         seconds, memory = measured(folder, *arguments, most=1000)
         print(
             f"flight of {hours} h at 400 Hz, {hours * 3600 * 400 / 1e6:.2f} M epochs: {seconds:.0f} CPU s, {memory:.0f} MB",
@@ -89,7 +89,7 @@ def outages(folder: Path) -> None:
             "1",
             "--no-pictures",
             "--overwrite",
-            "--out",
+            "--output",
             f"outages_{count}",
         )
         seconds, memory = measured(folder, *arguments)
@@ -107,7 +107,7 @@ def logs(folder: Path) -> None:
             for first in range(0, samples, 1 << 20):
                 handle.write((1e-3 * rng.standard_normal((min(1 << 20, samples - first), *shape[1:]))).tobytes())
         for arguments in (
-            ("characterise", file.name, "--rate", "100 Hz", "--out", "characterised"),
+            ("characterise", file.name, "--rate", "100 Hz", "--output", "characterised"),
             ("fit", file.name, "--rate", "100 Hz", "--model", "WN() + RW()", "--workers", "1"),
         ):
             seconds, memory = measured(folder, *arguments)

@@ -44,7 +44,7 @@ def main() -> None:
         else:
             folder = Path(made) / "run"
             command = [sys.executable, "-m", "insemu", "run", "scenarios/table3_synthetic.yaml", "--realizations", "4"]
-            subprocess.run([*command, "--no-variants", "--out", str(folder)], cwd=ROOT, check=True, capture_output=True)
+            subprocess.run([*command, "--output", str(folder)], cwd=ROOT, check=True, capture_output=True)
         empty = Path(made) / "empty.html"
         empty.write_text("<!doctype html><p>nothing</p>", encoding="utf-8")
         with sync_playwright() as p:

@@ -103,7 +103,7 @@ def main() -> None:
     said = io.StringIO()
     with tempfile.TemporaryDirectory() as out, contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
         sys.argv = ["insemu", "run", str(SCENARIO), "--workers", "1", "--realizations", str(given.realizations)]
-        sys.argv += ["--out", out, *(["--no-pictures"] if given.no_pictures else [])]
+        sys.argv += ["--output", out, *(["--no-pictures"] if given.no_pictures else [])]
         with contextlib.suppress(SystemExit):
             insemu()
     if "Page:" not in said.getvalue():

@@ -374,26 +374,26 @@ def shards() -> None:
     """Seven shards in random order, one twice, one killed and repeated; a missing one is named."""
     with tempfile.TemporaryDirectory() as kept:
         path, plain, out = scenario(Path(kept), realizations=70), Path(kept) / "plain", Path(kept) / "out"
-        insemu("run", str(path), "--out", str(plain))
+        insemu("run", str(path), "--output", str(plain))
         order = [1, 2, 3, 4, 5, 6, 7, 4]
         random.Random(1).shuffle(order)
         late, killed = order.pop(), None
         for k in order:
             if k == order[2] and killed is None:
                 killed = subprocess.Popen(
-                    [sys.executable, "-m", "insemu", "run", str(path), "--shard", f"{k}/7", "--out", str(out)],
+                    [sys.executable, "-m", "insemu", "run", str(path), "--shard", f"{k}/7", "--output", str(out)],
                     stderr=subprocess.DEVNULL,
                 )
                 while not list((out / CACHE).glob(f"*/{k - 1:04d}*")) and killed.poll() is None:
                     time.sleep(0.02)
                 killed.kill()
                 killed.wait()
-            insemu("run", str(path), "--shard", f"{k}/7", "--out", str(out))
+            insemu("run", str(path), "--shard", f"{k}/7", "--output", str(out))
         said = subprocess.run(
             [sys.executable, "-m", "insemu", "merge", str(out)], capture_output=True, text=True, check=False
         )
         named = late in order or (said.returncode == 2 and f"{late}/7" in said.stderr)
-        insemu("run", str(path), "--shard", f"{late}/7", "--out", str(out))
+        insemu("run", str(path), "--shard", f"{late}/7", "--output", str(out))
         merged = insemu("merge", str(out))
         row(
             "shards in any order, one twice, one killed: the plain run's bytes",
@@ -418,7 +418,7 @@ def kills(count: int) -> None:
     rng = random.Random(7)
     with tempfile.TemporaryDirectory() as kept:
         path, plain, out = scenario(Path(kept), realizations=400), Path(kept) / "plain", Path(kept) / "out"
-        insemu("run", str(path), "--out", str(plain))
+        insemu("run", str(path), "--output", str(plain))
         command = [
             sys.executable,
             "-m",
@@ -429,7 +429,7 @@ def kills(count: int) -> None:
             "local",
             "--workers",
             "4",
-            "--out",
+            "--output",
             str(out),
         ]
         left = {"worker": count - count // 3, "client": count // 3}

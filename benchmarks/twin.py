@@ -79,7 +79,7 @@ def main() -> None:
     parser.add_argument("--point", type=int, default=200, help="linear realizations of a sweep point")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as kept:
-        run = ["run", str(SCENARIO), "--linear", str(given.linear), "--json", "--out"]
+        run = ["run", str(SCENARIO), "--linear", str(given.linear), "--json", "--output"]
         cost(*run, f"{kept}/first")  # compiles
         seconds, memory, output = cost(*run, f"{kept}/run")
         document = json.loads(output)
@@ -94,7 +94,7 @@ def main() -> None:
         )
         used = [
             cost("sweep", str(SCENARIO), "--over", f"gnss.position_sigma=[{', '.join(values)}]", "--linear", str(given.point), "--json",
-                 "--out", f"{kept}/sweep{len(values)}")[0]
+                 "--output", f"{kept}/sweep{len(values)}")[0]
             for values in (SWEPT[:1], SWEPT)
         ]  # fmt: skip
         point = (used[1] - used[0]) / (len(SWEPT) - 1)

@@ -252,7 +252,7 @@ def execute(lines: str, folder: Path) -> tuple[bool, str, float]:
     for line in lines.split(" && "):
         words = [word.replace("{folder}", str(folder)) for word in shlex.split(line)]
         if words[0] == "insemu" and words[1] in ("run", "gap"):
-            words += ["--out", str(folder / hashlib.sha256(line.encode()).hexdigest()[:8])]
+            words += ["--output", str(folder / hashlib.sha256(line.encode()).hexdigest()[:8])]
         words = [sys.executable, *(["-m", "insemu"] if words[0] == "insemu" else []), *words[1:]]
         done = subprocess.run(words, capture_output=True, text=True, cwd=ROOT, env={**os.environ, "COLUMNS": "200"})
         good, text = good and done.returncode == 0, text + done.stdout + done.stderr

@@ -41,10 +41,13 @@ from tests.fuzz.commands import SCENARIO
 
 #: Commands by name: what is run beside ``s.yaml`` and ``log.npz``, and what it leaves.
 COMMANDS: Mapping[str, tuple[str, tuple[str, ...]]] = {
-    "run": ("run s.yaml --out out --workers 1 --no-variants", ("out",)),
-    "compare --analytic": ("compare s.yaml --analytic --out out", ("out",)),
+    "run": ("run s.yaml --output out --workers 1", ("out",)),
+    "compare --analytic": ("compare s.yaml --analytic --output out", ("out",)),
     "regress record": ("regress record s.yaml --baseline base.json --workers 1", ("base.json",)),
-    "gap-trial": ("gap-trial --recordings 3 --kind static --hours 0.2 --no-hold-out --log log.jsonl", ("log.jsonl",)),
+    "gap-trial": (
+        "gap-trial --recordings 3 --kind static --log-length 12min --no-hold-out --output log.jsonl",
+        ("log.jsonl",),
+    ),
     "select": ("select log.npz -g GM()+WN() -o models.yaml --page page.html --workers 1", ("models.yaml", "page.html")),
 }
 #: Text that says when and how long, in files of any kind.

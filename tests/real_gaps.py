@@ -67,17 +67,17 @@ def main() -> int:
         for name, said in cases(Path(folder)).items():
             print(f"-- {name}", flush=True)
             measured = str(root() / "real" / f"{name.partition(',')[0]}.npz")
-            words = ["gap", str(said), "--measured", measured, "--out", str(Path(folder) / name)]
+            words = ["gap", str(said), measured, "--output", str(Path(folder) / name)]
             wrong += insemu(*words)
             for line in jumps(Path(folder) / name / "gap.json"):
                 print(line, flush=True)
         print("-- scenarios/real_drive_rtk.yaml", flush=True)
         drive, out = str(root() / "real" / "rtkexp_drive.npz"), Path(folder) / "tuned"
-        wrong += insemu("gap", str(ROOT / "scenarios" / "real_drive_rtk.yaml"), "--measured", drive, "--out", str(out))
+        wrong += insemu("gap", str(ROOT / "scenarios" / "real_drive_rtk.yaml"), drive, "--output", str(out))
         refined = str(out / "refined.yaml")
-        wrong += insemu("run", refined, "--no-variants", "--no-pictures", "--out", str(out / "run"))
-        wrong += insemu("solve", drive, "--against", refined, "--out", str(out / "solved"))
-        wrong += insemu("gap", refined, "--measured", drive, "--out", str(out / "again"))
+        wrong += insemu("run", refined, "--no-pictures", "--output", str(out / "run"))
+        wrong += insemu("solve", drive, "--against", refined, "--output", str(out / "solved"))
+        wrong += insemu("gap", refined, drive, "--output", str(out / "again"))
     return int(bool(wrong))
 
 

@@ -105,7 +105,7 @@ def test_a_recording_is_solved_at_the_top_as_by_the_command(tmp_path: Path) -> N
     solution = ins.solve(tmp_path / "flight.npz", designs=["18AV"], lever_arm=(0.0, 0.0, 0.0))
     assert "18AV" in solution.to_dataframe().index.unique("design")
     with pytest.raises(SystemExit) as end:
-        options = ["--design", "18AV", "--lever-arm", "0 0 0 m", "--out", str(tmp_path / "solved")]
+        options = ["--designs", "18AV", "--lever-arm", "0 0 0 m", "--output", str(tmp_path / "solved")]
         main(["solve", str(tmp_path / "flight.npz"), *options])
     assert end.value.code in (0, None)
     said = json.loads((tmp_path / "solved" / "summary.json").read_text())

@@ -64,7 +64,7 @@ def test_json_has_the_agreed_keys(tmp_path: Path, capsys: pytest.CaptureFixture[
         assert set(axis["readings"]) | set(axis["not_visible"]) == {"Q", "N", "B", "K", "R", "Tc"}
     truth = np.rad2deg(5e-4) * 60.0
     assert abs(axes["gx"]["readings"]["N"]["value"] / truth - 1.0) < 0.03
-    assert not list(tmp_path.glob("results*"))  # nothing is written without --out
+    assert not list(tmp_path.glob("results*"))  # nothing is written without --output
 
 
 @pytest.mark.parametrize("header", ["rate of turn\n", "", "x [deg/s]\n"])
@@ -87,7 +87,7 @@ def test_the_page_holds_figures_tables_and_escaped_text(tmp_path: Path, capsys: 
     path = formats.write(tmp_path / "log.npz", series)
     beside = tmp_path / "other.json"
     beside.write_text(json.dumps({"S": {"freq": [100.0], "wvar": {"Gyro. X": {"variance": [1e-6, 5e-7, 2e-7]}}}}))
-    code, out, _ = run([str(path), "--out", str(tmp_path / "page"), "--beside", str(beside)], capsys)
+    code, out, _ = run([str(path), "--output", str(tmp_path / "page"), "--beside", str(beside)], capsys)
     assert code == 0 and "Readings" in out
     html = (tmp_path / "page" / "index.html").read_text()
     assert html.count('<figure class="chart">') == 5 and "other sensors" in html

@@ -110,7 +110,7 @@ def test_what_commands_write_goes_into_a_folder_of_their_own(tmp_path: Path) -> 
     good, printed, _ = execute(f"{write} && {read}", tmp_path)
     assert good and "7 m" in printed and (tmp_path / "x").exists()
     for line in (line for lines in jobs(claims()[0]) for line in lines.split(" && ")):
-        written = re.findall(r"(?:--out|-o) (\S+)", line)
+        written = re.findall(r"(?:--output|-o) (\S+)", line)
         assert all(path.startswith("{folder}/") for path in written), line
 
 

@@ -21,10 +21,10 @@ pytestmark = pytest.mark.usefixtures("without_pictures")
 COMMANDS = {
     "compare": ("compare s.yaml --json", ""),
     "regress": ("regress record s.yaml --baseline b.json", "b.json"),
-    "sweep": ("sweep s.yaml --over outage=[5s] --json --out NAME", ""),
+    "sweep": ("sweep s.yaml --over outage=[5s] --json --output NAME", ""),
     "select": ("select log.npz --general GM()+WN() --json", ""),
     "bootstrap": ("fit log.npz --model WN() --bootstrap 20 --json", ""),
-    "gap-trial": ("gap-trial --recordings 2 --kind static --effect none --hours 0.2 --no-hold-out --json", ""),
+    "gap-trial": ("gap-trial --recordings 2 --kind static --effect none --log-length 12min --no-hold-out --json", ""),
 }
 #: Commands that take more than ten seconds here.
 LONG = ("compare", "gap-trial", "regress", "sweep")

@@ -152,7 +152,7 @@ def test_an_unstable_polynomial_is_refused_with_the_nearest_stable_one(tmp_path,
     bad = {"gyro": UNSTABLE, "accel": "WN(N=90 ug/sqrt(Hz))"}
     path = write(tmp_path / "s.yaml", designs={"bad": bad})
     out = tmp_path / "out"
-    said = complaint(capsys, "run", str(path), "--out", str(out))
+    said = complaint(capsys, "run", str(path), "--output", str(out))
     assert "designs.bad: belief of gyro_x" in said and "not stationary" in said and "stabilise: true" in said
     assert not out.exists()
     # what was offered is taken

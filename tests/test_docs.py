@@ -61,7 +61,7 @@ def test_page(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
             main(arguments)
         said = capsys.readouterr()
         assert end.value.code in (0, None), f"{text}\n{said.out}\n{said.err}"
-        for option in ("--out", "--baseline"):
+        for option in ("--output", "-o", "--page", "--baseline"):
             if option in arguments:
                 assert Path(arguments[arguments.index(option) + 1]).exists(), f"{text} wrote nothing"
 

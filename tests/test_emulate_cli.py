@@ -46,7 +46,7 @@ def scenario(tmp_path, **changes):
 )
 def test_what_is_emulated_is_read_by_the_others(tmp_path, capsys, out):
     file, target = scenario(tmp_path), tmp_path / out
-    assert run("emulate", file, "--out", target, "--ideal", "--json") == 0
+    assert run("emulate", file, "--output", target, "--ideal", "--json") == 0
     said = json.loads(capsys.readouterr().out)
     assert said["imu_samples"] == 6001 and said["gnss_fixes"] == 100 and said["imu_rate_hz"] == 50.0
     assert run("dead-reckon", target, "--json") == 0
@@ -57,12 +57,12 @@ def test_what_is_emulated_is_read_by_the_others(tmp_path, capsys, out):
         "epochs_per_second",
     } <= set(result)  # fmt: skip
     # the same realization with its errors: the bias is there, and it is the same each time
-    assert run("emulate", file, "--out", target, "--realization", 3) == 0
+    assert run("emulate", file, "--output", target, "--realization", 3) == 0
     noisy = read_recording(target)
     ideal = emulate.ideal_imu(emulate.built_in("urban_drive_1"), 50.0, span=(0.0, 120.0)).imu
     bias = (noisy.imu.gyro - ideal.gyro)[1:].mean(axis=0) * 50.0
     assert np.rad2deg(bias[0]) == pytest.approx(0.1, abs=0.015)
-    assert run("emulate", file, "--out", tmp_path / "again.npz", "--realization", 3) == 0
+    assert run("emulate", file, "--output", tmp_path / "again.npz", "--realization", 3) == 0
     np.testing.assert_allclose(read_recording(tmp_path / "again.npz").imu.gyro, noisy.imu.gyro, rtol=1e-12)
     capsys.readouterr()
     assert run("dead-reckon", target) == 0
@@ -72,7 +72,7 @@ def test_what_is_emulated_is_read_by_the_others(tmp_path, capsys, out):
 def test_a_scenario_without_designs_is_enough(tmp_path, capsys):
     file = scenario(tmp_path)
     file.write_text(yaml.safe_dump({k: v for k, v in SCENARIO.items() if k != "designs"}), encoding="utf-8")
-    assert run("emulate", file, "--out", tmp_path / "r.npz") == 0
+    assert run("emulate", file, "--output", tmp_path / "r.npz") == 0
     assert "urban_drive_1 from 4" in capsys.readouterr().out  # and says where it is
     assert run("run", file) == 2
     assert "the key 'designs' is missing" in capsys.readouterr().err
@@ -134,7 +134,7 @@ def test_the_mean_of_a_span_is_taken_off(tmp_path, capsys, value, message):
     flight = {"builtin": "static", "rate": "100 Hz", "duration": "10 s"}
     file = scenario(tmp_path, trajectory=flight, truth={"recorded": recorded}, designs={}, realizations=1, gnss={})
     target = tmp_path / "r.npz"
-    assert run("emulate", file, "--out", target) == (0 if message is None else 2)
+    assert run("emulate", file, "--output", target) == (0 if message is None else 2)
     if message is not None:
         assert message in capsys.readouterr().err
         return
@@ -146,16 +146,16 @@ def test_the_mean_of_a_span_is_taken_off(tmp_path, capsys, value, message):
 def test_an_area_that_is_never_entered_is_warned_about(tmp_path, capsys):
     start = np.rad2deg(emulate.built_in("urban_drive_1").path.llh([0.0])[0])
     areas = [{"latitude": f"{start[1]} deg", "longitude": f"{start[0]} deg", "radius": "100 m"}]
-    assert run("emulate", scenario(tmp_path, gnss={"areas": areas}), "--out", tmp_path / "r.npz") == 0
+    assert run("emulate", scenario(tmp_path, gnss={"areas": areas}), "--output", tmp_path / "r.npz") == 0
     said = capsys.readouterr().err
     assert "gnss.areas.0 is never entered" in said and "are latitude and longitude swapped?" in said
 
 
 def test_a_figure_is_drawn(tmp_path, capsys):
-    bad = ("emulate", scenario(tmp_path), "--out", tmp_path / "r.npz", "--figure", tmp_path / "track.xyz")
+    bad = ("emulate", scenario(tmp_path), "--output", tmp_path / "r.npz", "--figure", tmp_path / "track.xyz")
     assert run(*bad) == 2 and not (tmp_path / "r.npz").exists()
-    assert "cannot draw '.xyz' files" in capsys.readouterr().err
-    assert run("emulate", scenario(tmp_path), "--out", tmp_path / "r.npz", "--figure", tmp_path / "track.png") == 0
+    assert "found the suffix '.xyz', expected .png" in capsys.readouterr().err
+    assert run("emulate", scenario(tmp_path), "--output", tmp_path / "r.npz", "--figure", tmp_path / "track.png") == 0
     assert (tmp_path / "track.png").stat().st_size > 20_000
 
 
@@ -173,7 +173,7 @@ def test_bad_input_ends_with_code_two_and_writes_nothing(tmp_path, capsys):
         ({"gnss": {"outages": [{"start": "110 s", "duration": "20 s"}]}}, "ends at 130 s"),
     ]
     for changes, message in cases:
-        assert run("emulate", scenario(tmp_path, **changes), "--out", tmp_path / "r.npz") == 2
+        assert run("emulate", scenario(tmp_path, **changes), "--output", tmp_path / "r.npz") == 2
         assert message in capsys.readouterr().err
         assert not (tmp_path / "r.npz").exists()
     assert run("dead-reckon", tmp_path / "absent.npz") == 2

@@ -203,7 +203,7 @@ def test_a_tum_trajectory_is_read_back_by_its_origin(tmp_path: Path) -> None:
 def test_tracks_are_exported_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = drive()
     write(tmp_path / "rec.npz", Recording(data.imu, data.gnss, data.reference))
-    begin = ("--starts", "2024-05-01T12:00:00Z", "--outage", "20:30")
+    begin = ("--origin", "2024-05-01T12:00:00Z", "--outage", "20:30")
     assert run("export", tmp_path / "rec.npz", "-o", tmp_path / "a.kml", *begin) == 0
     assert "2024-05-01T12:00:00.5" in (tmp_path / "a.kml").read_text()
     assert run("export", tmp_path / "rec.npz", "--reference", "-o", tmp_path / "a.tum") == 0
@@ -275,9 +275,9 @@ designs:
   a & b: {gyro: WN(N=0.3 deg/s/sqrt(Hz)), accel: WN(N=2 mg/sqrt(Hz))}
 """
     )
-    assert run("run", scenario, "--workers", "1", "--out", tmp_path / "out") == 0
+    assert run("run", scenario, "--workers", "1", "--output", tmp_path / "out") == 0
     kml = tmp_path / "overlay.kml"
-    assert run("export", tmp_path / "out", "-o", kml, "--realization", "2") == 0
+    assert run("export", tmp_path / "out", "-o", kml, "--realization", "1") == 0
     space = {"k": "http://www.opengis.net/kml/2.2"}
     folders = ElementTree.parse(kml).getroot().findall(".//k:Folder", space)
     assert [f.findtext("k:name", "", space) for f in folders] == ["reference", "one", "a & b"]
@@ -298,16 +298,16 @@ designs:
         assert len(places(outage)) == int(((t >= 50.0) & (t <= 70.0)).sum())
         ring = earth.llh_to_ned(places(ellipse), places(way)[last])
         np.testing.assert_allclose(ring[:, :2].max(axis=0), 3.0 * sigma[k, last, :2], rtol=1e-2)
-    assert run("export", tmp_path / "out", "-o", kml, "--realization", "3") == 2
-    assert "--realization: found 3, expected 1 to 2" in capsys.readouterr().err
+    assert run("export", tmp_path / "out", "-o", kml, "--realization", "2") == 2
+    assert "--realization: found 2, expected 0 to 1" in capsys.readouterr().err
     drawn = kml.read_bytes()
     with xr.open_dataset(tmp_path / "out" / "errors.nc", engine="h5netcdf") as data:
         some = data.load().assign_coords(realization=[0, 316])  # as of a run of many, of which a few stay
     some.to_netcdf(tmp_path / "out" / "errors.nc", engine="h5netcdf")
-    assert run("export", tmp_path / "out", "-o", kml, "--realization", "317") == 0
+    assert run("export", tmp_path / "out", "-o", kml, "--realization", "316") == 0
     assert kml.read_bytes() == drawn
     assert run("export", tmp_path / "out", "-o", kml, "--realization", "2") == 2
-    assert "--realization: found 2, expected one of 1, 317" in capsys.readouterr().err
+    assert "--realization: found 2, expected one of 0, 316" in capsys.readouterr().err
     assert run("export", tmp_path / "out", "-o", tmp_path / "x.gpx") == 2
     assert "cannot write '.gpx' overlays, expected .kml" in capsys.readouterr().err
 

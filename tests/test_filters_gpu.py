@@ -177,7 +177,7 @@ def test_a_run_on_a_gpu_has_the_figures_of_one_without(host, tmp_path, monkeypat
     found = {}
     for name, options in (("here", ()), ("there", ("--gpu",))):
         before = host.asked
-        assert run(str(path), *options, "--workers", "2", "--out", str(tmp_path / name)) == 0
+        assert run(str(path), *options, "--workers", "2", "--output", str(tmp_path / name)) == 0
         assert host.asked == before + (2 if options else 0)
         found[name] = json.loads((tmp_path / name / "summary.json").read_text())
     assert found["here"]["digest"] != found["there"]["digest"]
@@ -185,7 +185,7 @@ def test_a_run_on_a_gpu_has_the_figures_of_one_without(host, tmp_path, monkeypat
     np.testing.assert_allclose(other, one, rtol=1e-9)
     capsys.readouterr()
     path = write(tmp_path, variants={}, fits=None, smoother=True, designs={"full": SCENARIO["designs"]["full"]})
-    assert run(str(path), "--gpu", "--out", str(tmp_path / "smoothed")) == 2
+    assert run(str(path), "--gpu", "--output", str(tmp_path / "smoothed")) == 2
     assert "expected 'smoother: false' with --gpu" in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "smoothed").exists()
 

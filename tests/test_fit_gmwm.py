@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from insemu.errors import InputError
-from insemu.fit import FitResult, fit, kalibr, save
+from insemu.fit import FitResult, fit, save
 from insemu.fit.covariance import model_covariance
 from insemu.fit.gmwm import finite_record_bias, fit_curve
 from insemu.fit.minimum import Solution
@@ -276,13 +276,3 @@ def test_saved_fits_are_models_that_load(tmp_path):
     (loaded,) = load(tmp_path / "fit.yaml").values()
     for one, two in zip(loaded, result.model, strict=True):
         assert one.parameters == two.parameters
-
-
-def test_kalibr_export_says_what_it_cannot_hold():
-    result = a_fit()
-    text, warnings = kalibr({"gyro_x": result, "gyro_y": result})
-    sigma, beta, N = (result[k].value for k in ("GM1.sigma", "GM1.beta", "WN1.N"))
-    values = {line.split(":")[0]: float(line.split(":")[1].split("#")[0]) for line in text.splitlines()[1:3]}
-    assert values["gyroscope_noise_density"] == pytest.approx(N, rel=1e-6)
-    assert values["gyroscope_random_walk"] == pytest.approx(sigma * np.sqrt(2 * beta), rel=1e-6)
-    assert any("accelerometer" in w for w in warnings) and any("GM" in w for w in warnings)

@@ -143,7 +143,7 @@ def test_an_archive_writes_nothing_outside(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "line",
-    [["emulate", "s.yaml", "--out", ""], ["serve", ""], ["export", "", "-o", "a.tum"], ["fit", "", "-m", "WN()"]],
+    [["emulate", "s.yaml", "--output", ""], ["serve", ""], ["export", "", "-o", "a.tum"], ["fit", "", "-m", "WN()"]],
 )
 def test_an_empty_text_names_no_file_and_no_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: list[str]
@@ -194,13 +194,13 @@ def test_a_bootstrap_that_cannot_be_is_refused_before_the_fit(
         columns=["gx"],
         units=["rad/s"],
     )
-    monkeypatch.setattr("insemu.cli.fit.read_static", fitted)
+    monkeypatch.setattr("insemu.cli.logs.read_static", fitted)
     ran = CliRunner().invoke(app, ["fit", str(tmp_path / "log.npz"), "-m", "WN()", *options])
     assert isinstance(ran.exception, InputError), ran.output
 
 
 #: Whole numbers that are no counts, or whose limit the library tells.
-_NO_COUNTS = ("seed", "realization of export", "latin of sweep")
+_NO_COUNTS = ("seed", "latin of sweep")
 
 
 def test_every_count_has_a_limit() -> None:
@@ -218,8 +218,8 @@ def test_every_count_has_a_limit() -> None:
     [
         ["run", "S", "--linear", str(10**20)],
         ["sweep", "S", "--over", "outage=[5 s, 10 s]", "--latin", str(10**20)],
-        ["emulate", "S", "--out", "a.txt"],
-        ["open", "S", "--out", "a.xyz"],
+        ["emulate", "S", "--output", "a.txt"],
+        ["open", "S", "--output", "a.xyz"],
         ["compare", "S", "a", "--base", "b"],
     ],
 )

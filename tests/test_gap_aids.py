@@ -393,7 +393,7 @@ def test_gap_looks_at_the_aids_of_a_file_and_says_which_it_does_not_know(tmp_pat
     np.savez(tmp_path / "drive.npz", **arrays, **height, **std, **rest)
     out = tmp_path / "out"
     with pytest.raises(SystemExit) as stop:
-        main(["gap", str(tmp_path / "drive.yaml"), "--measured", str(tmp_path / "drive.npz"), "--out", str(out)])
+        main(["gap", str(tmp_path / "drive.yaml"), str(tmp_path / "drive.npz"), "--output", str(out)])
     assert not stop.value.code
     said = capsys.readouterr()
     assert "standstill not looked at: only IMU, fixes, odometer, barometer and heading are" in " ".join(

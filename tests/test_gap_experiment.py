@@ -54,7 +54,7 @@ def test_a_vehicle_that_nobody_has_and_a_wrong_ending_are_refused(
     cases = {"unknown vehicle 'ship'": ["--vehicle", "ship"], "expected a file .yaml": ["--next", "next.csv"]}
     for message, words in cases.items():
         with pytest.raises(SystemExit) as stopped:
-            main(["gap", "nowhere.yaml", "--measured", "nothing.npz", *words])
+            main(["gap", "nowhere.yaml", "nothing.npz", *words])
         assert stopped.value.code == 2
         assert message in capsys.readouterr().err
 

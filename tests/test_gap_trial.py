@@ -314,9 +314,8 @@ def test_the_command_writes_a_report_and_a_refined_belief(tmp_path, capsys) -> N
     arguments = [
         "gap",
         str(tmp_path / "belief.yaml"),
-        "--measured",
         str(tmp_path / "log.npz"),
-        "--out",
+        "--output",
         str(tmp_path / "out"),
         "--json",
     ]
@@ -330,5 +329,5 @@ def test_the_command_writes_a_report_and_a_refined_belief(tmp_path, capsys) -> N
     assert str(refined.beliefs["gyro_x"]).count("BI(") == 1
     assert 'class="chart' in (tmp_path / "out" / "index.html").read_text()
     with pytest.raises(SystemExit) as stop:
-        main([*arguments[:2], "--measured", str(tmp_path / "absent.npz")])
+        main([*arguments[:2], str(tmp_path / "absent.npz")])
     assert stop.value.code == 2

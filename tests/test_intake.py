@@ -112,7 +112,7 @@ def test_the_mending_command_mends(spoil, tmp_path: Path, capsys: pytest.Capture
     card = examine(open_files(path))
     mends = [m for line in (*card.of("wrong"), *card.of("odd")) for m in _MEND.findall(line.mend)]
     assert mends
-    code = run("open", path, "--map", ", ".join(dict.fromkeys(mends)), "--out", tmp_path / "mended.npz")
+    code = run("open", path, "--map", ", ".join(dict.fromkeys(mends)), "--output", tmp_path / "mended.npz")
     assert code == 0, capsys.readouterr()
     back = formats.read_recording(tmp_path / "mended.npz")
     want = flown()
@@ -173,7 +173,7 @@ def test_a_log_at_rest_in_deg_per_s_without_a_unit_is_refused_with_its_mend(tmp_
     path = _rest(tmp_path / "a.csv", 180 / np.pi, 1.0, "t,gx,gy,gz,ax,ay,az")
     with pytest.raises(InputError, match=r'insemu open .*a.csv --map "gyro_unit=deg/s"'):
         card_of(path).check()
-    assert run("open", path, "--map", "gyro_unit=deg/s", "--out", tmp_path / "b.npz") == 0
+    assert run("open", path, "--map", "gyro_unit=deg/s", "--output", tmp_path / "b.npz") == 0
     card_of(tmp_path / "b.npz").check()
     np.testing.assert_allclose(np.mean(formats.read_log(tmp_path / "b.npz").columns[0]), np.deg2rad(0.4), rtol=0.01)
 
@@ -203,7 +203,7 @@ def test_three_files_become_one_recording_by_the_command(tmp_path: Path) -> None
     written = KINDS["three files, one recording"](tmp_path)
     options = dict(written.options)
     code = run(
-        "open", written.path, "--gnss", options["gnss"], "--truth", options["truth"], "--out", tmp_path / "rec.npz"
+        "open", written.path, "--gnss", options["gnss"], "--truth", options["truth"], "--output", tmp_path / "rec.npz"
     )
     assert code == 0
     back = formats.read_recording(tmp_path / "rec.npz")
@@ -223,7 +223,7 @@ def test_a_map_is_kept_beside_the_file_and_used_by_all(tmp_path: Path) -> None:
 def test_a_refused_name_of_the_result_leaves_no_map(tmp_path: Path) -> None:
     path = mapped_csv(tmp_path).path
     said = ("--map", "gyro=om_*[deg/s], accel=s_*[g], time=stamp[ns]", "--save-map")
-    assert run("open", path, *said, "--out", tmp_path / "a.tum") == 2
+    assert run("open", path, *said, "--output", tmp_path / "a.tum") == 2
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
@@ -234,10 +234,10 @@ def test_what_contradicts_physics_is_refused_and_nothing_written(
     assert data.imu is not None
     spoilt = replace(data.imu, accel=data.imu.accel * data.imu.dt, gyro=data.imu.gyro * data.imu.dt)
     path = write(tmp_path / "a.npz", Recording(spoilt, data.gnss))
-    assert run("open", path, "--out", tmp_path / "b.npz") == 2
+    assert run("open", path, "--output", tmp_path / "b.npz") == 2
     assert '--map "kind=increment"' in capsys.readouterr().err
     assert not (tmp_path / "b.npz").exists()
-    assert run("open", path, "--map", "kind=increment", "--out", tmp_path / "b.npz") == 0
+    assert run("open", path, "--map", "kind=increment", "--output", tmp_path / "b.npz") == 0
 
 
 def test_a_single_axis_has_a_card_and_no_recording(tmp_path: Path) -> None:
@@ -245,7 +245,7 @@ def test_a_single_axis_has_a_card_and_no_recording(tmp_path: Path) -> None:
         tmp_path / "one.csv", [Series(np.random.default_rng(1).standard_normal(64) * 1e-4, 100.0, "rad/s", "gyro_x")]
     )
     assert run("open", path) == 0
-    assert run("open", path, "--out", tmp_path / "x.npz") == 2
+    assert run("open", path, "--output", tmp_path / "x.npz") == 2
 
 
 def test_the_kinds_of_file_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -302,7 +302,7 @@ def test_commands_refuse_what_the_card_refuses(
     path = _rest(tmp_path / "a.csv", 180 / np.pi, 1.0, "t,gx,gy,gz,ax,ay,az")
     model = tmp_path / "m.yaml"
     model.write_text("gyro: WN(N=0.01 deg/s/sqrt(Hz))\naccel: WN(N=100 ug/sqrt(Hz))\n")
-    given = (str(model), "--measured", str(path)) if arguments[0] == "gap" else (str(path), *arguments[1:])
+    given = (str(model), str(path)) if arguments[0] == "gap" else (str(path), *arguments[1:])
     assert run(arguments[0], *given) == 2
     assert '--map "gyro_unit=deg/s"' in capsys.readouterr().err
 

@@ -87,7 +87,7 @@ def test_a_page_of_many_outages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         "designs: {a: {gyro: {truth: true}, accel: {truth: true}}, b: {gyro: WN(N=1 deg/s/sqrt(Hz)), accel: {truth: true}}}\n"
     )
     with pytest.raises(SystemExit) as ended:
-        main(["run", str(scenario), "--out", str(tmp_path / "out"), "--workers", "1"])
+        main(["run", str(scenario), "--output", str(tmp_path / "out"), "--workers", "1"])
     assert ended.value.code in (0, None)
     html = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
     found = json.loads(re.search(r'<div class="ledger">\s*<script type="application/json">(.*?)</script>', html)[1])

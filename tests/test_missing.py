@@ -161,7 +161,7 @@ def test_a_log_with_gaps_is_fitted_and_says_so(tmp_path: Path) -> None:
     assert run.exit_code == 0, run.output
     assert "nothing is filled in" in run.output + run.stderr
     assert "Mend" not in run.output + run.stderr  # nor is the log to be cut: its fit takes gaps of any length
-    run = CliRunner().invoke(app, ["characterise", str(path), "--out", str(tmp_path / "c")])
+    run = CliRunner().invoke(app, ["characterise", str(path), "--output", str(tmp_path / "c")])
     assert run.exit_code == 0, run.output
     assert "missing: " in run.output
     with pytest.raises(InputError, match="gap"):

@@ -86,7 +86,7 @@ def test_the_command_watches_a_file_and_standard_input(tmp_path: Path, monkeypat
     x[7000:] *= 3.0
     log = tmp_path / "log.csv"
     write(log, [Series(x, RATE_HZ, "rad/s", "gyro_x")])
-    options = ["-m", "WN()", "--window", "30 s", "--false-alarms", "1e-6", "--json"]
+    options = ["-m", "WN()", "--window", "30 s", "--false-alarm", "1e-6", "--json"]
     told = CliRunner().invoke(app, ["watch", str(log), *options])
     assert told.exit_code == 0, told.output
     events = [json.loads(line) for line in told.stdout.splitlines()]

@@ -186,29 +186,33 @@ DRIVE: dict[str, Any] = {
 }
 #: Page -> the commands that make it, one after the other in one folder.
 KINDS = {
-    "run/index.html": ["run flight.yaml --out run --workers 1"],
-    "compare/index.html": ["compare flight.yaml --out compare --workers 1"],
+    "run/index.html": ["run flight.yaml --output run --workers 1"],
+    "compare/index.html": ["compare flight.yaml --output compare --workers 1"],
     "sweep/index.html": [
-        "sweep flight.yaml --over 'gnss.position_sigma=[5 cm, 1 m],outage=[10 s, 20 s]' --linear 50 --out sweep"
+        "sweep flight.yaml --over 'gnss.position_sigma=[5 cm, 1 m],outage=[10 s, 20 s]' --linear 50 --output sweep"
     ],
-    "budget/index.html": ["compare flight.yaml --out budget --analytic"],
+    "budget/index.html": ["compare flight.yaml --output budget --analytic"],
     "regress.html": [
         "regress record flight.yaml --baseline b.json --workers 1",
-        "regress check flight.yaml --baseline b.json --workers 1 --out regress.html",
+        "regress check flight.yaml --baseline b.json --workers 1 --page regress.html",
     ],
-    "track.html": ["emulate flight.yaml --out flight.npz --figure track.html"],
-    "solve/index.html": ["solve flight.npz --out solve --workers 1"],
-    "reckon.html": ["dead-reckon flight.npz --out reckon.html"],
-    "char/index.html": ["emulate hum.yaml --out rest.npz", "characterise rest.npz --out char"],
+    "track.html": ["emulate flight.yaml --output flight.npz --page track.html"],
+    "solve/index.html": ["solve flight.npz --output solve --workers 1"],
+    "reckon.html": ["dead-reckon flight.npz --page reckon.html"],
+    "char/index.html": ["emulate hum.yaml --output rest.npz", "characterise rest.npz --output char"],
     "fit.html": ["fit rest.npz --model WN() --page fit.html --workers 1"],
     "select.html": ["select rest.npz --general RW()+WN() --page select.html -c gyro_x,gyro_y --workers 1"],
-    "gap/index.html": ["gap rest.yaml --measured rest.npz --out gap"],
+    "gap/index.html": ["gap rest.yaml rest.npz --output gap"],
     "check/index.html": [
-        "emulate drive.yaml --out drive.npz",
-        "gap-check drive.yaml --measured drive.npz --recordings 20 --no-search --out check",
+        "emulate drive.yaml --output drive.npz",
+        "gap-check drive.yaml drive.npz --recordings 20 --no-search --output check",
     ],
-    "follow.html": ["fit board.csv --model WN() --covariate temperature:6 --page follow.html -c gx_1"],
-    "regressed.html": ["fit board.csv --model WN() --regress temperature,time --page regressed.html -c gx_1"],
+    "follow.html": [
+        "fit-covariate board.csv --model WN() --covariate temperature --segments 6 --page follow.html -c gx_1"
+    ],
+    "regressed.html": [
+        "fit-regressors board.csv --model WN() --regressors temperature,time --page regressed.html -c gx_1"
+    ],
     "array.html": ["array board.csv --model WN() --scenario flight.yaml --page array.html"],
 }
 #: Pages whose name is not that of their command.
@@ -216,8 +220,8 @@ OTHERWISE = ("budget", "char", "check", "track.html", "reckon.html", "follow.htm
 #: Those that take longer.
 SLOW_KINDS = {
     "transfer.html": [
-        "emulate drive.yaml --out drive.npz",
-        "transfer drive.yaml --drive drive.npz --no-why --page transfer.html",
+        "emulate drive.yaml --output drive.npz",
+        "transfer drive.yaml drive.npz --no-why --page transfer.html",
     ],
 }
 

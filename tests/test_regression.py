@@ -184,7 +184,7 @@ def test_the_commands(tmp_path, file, capsys):
     assert run("compare", file, "--designs", "full,white", "--realizations", "3", "--json") == 0
     out = json.loads(capsys.readouterr().out)
     assert out["base"] == "full" and len(out["rows"]) == 4
-    assert run("compare", file, "--analytic", "--out", page, "--json") == 0
+    assert run("compare", file, "--analytic", "--output", page, "--json") == 0
     out = json.loads(capsys.readouterr().out)
     parts = out["designs"]["full"]["outages"][0]["parts_rms_m"]
     assert np.sqrt(sum(v**2 for v in parts.values())) == pytest.approx(out["designs"]["full"]["outages"][0]["rms_m"])

@@ -87,7 +87,7 @@ def test_regressors_are_read_as_they_are_written() -> None:
 )
 def test_what_names_no_regressor_is_said(text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        regressors_of(text, {"temperature": np.arange(9.0)}, 9, 1.0, "--regress")
+        regressors_of(text, {"temperature": np.arange(9.0)}, 9, 1.0, "--regressors")
 
 
 @pytest.mark.parametrize(
@@ -111,11 +111,8 @@ def test_the_command_estimates_both(tmp_path: Path) -> None:
     series, columns = signal_of(MODELS["walk"], 6000, np.random.default_rng(2))
     log, page = tmp_path / "log.csv", tmp_path / "page.html"
     write(log, [series, Series(columns["temperature"], series.rate_hz, "", "temperature")])
-    line = ["fit", str(log), "-m", "WN()", "--regress", "temperature"]
+    line = ["fit-regressors", str(log), "-m", "WN()", "--regressors", "temperature"]
     result = CliRunner().invoke(app, [*line, "--page", str(page)])
     assert result.exit_code == 0, result.output
     assert "regressors" in result.output
     assert "temperature" in page.read_text()
-    refused = CliRunner().invoke(app, [*line, "--method", "mli"])
-    assert isinstance(refused.exception, InputError)
-    assert "--method" in str(refused.exception)

@@ -27,9 +27,7 @@ RUNNER = CliRunner()
 def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("result")
     (folder / "s.yaml").write_text(SCENARIO, encoding="utf-8")
-    ran = RUNNER.invoke(
-        app, ["run", str(folder / "s.yaml"), "--out", str(folder / "out"), "--no-variants", "--workers", "1"]
-    )
+    ran = RUNNER.invoke(app, ["run", str(folder / "s.yaml"), "--output", str(folder / "out"), "--workers", "1"])
     assert ran.exit_code == 0, ran.output
     return folder / "out"
 

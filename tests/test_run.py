@@ -63,7 +63,7 @@ def run(*arguments: str) -> int:
 @pytest.mark.pictures
 def test_a_run_leaves_table_page_and_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    assert run(str(write(tmp_path)), "--workers", "2", "--variants", "--out", str(out), "--json") == 0
+    assert run(str(write(tmp_path)), "--workers", "2", "--variants", "--output", str(out), "--json") == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed == json.loads((out / "summary.json").read_text())
     assert list(printed) == ["scenario", "digest", "seed", "realizations", "designs", "comparisons", "timing"]
@@ -92,7 +92,7 @@ def test_a_run_leaves_table_page_and_data(tmp_path: Path, capsys: pytest.Capture
     listed = json.loads((out / "complete.json").read_text())["files"]
     assert any("flight.png" in name for name in listed)
     # the same again without pictures: those that are there would belong to no run
-    assert run(str(tmp_path / "s.yaml"), "--workers", "1", "--no-pictures", "--out", str(out)) == 0
+    assert run(str(tmp_path / "s.yaml"), "--workers", "1", "--no-pictures", "--output", str(out)) == 0
     left = set(json.loads((out / "complete.json").read_text())["files"])
     assert left == {name for name in listed if not name.startswith("figures")}
     assert not list((out / "figures").iterdir())
@@ -104,7 +104,7 @@ def test_warnings_come_before_the_flight_and_leave_json_alone(
     area = {"latitude": "10 deg", "longitude": "10 deg", "radius": "100 m"}
     gnss = SCENARIO["gnss"] | {"areas": [area]}
     path = str(write(tmp_path, gnss=gnss, realizations=1, variants={}))
-    assert run(path, "--workers", "1", "--out", str(tmp_path / "out"), "--json") == 0
+    assert run(path, "--workers", "1", "--output", str(tmp_path / "out"), "--json") == 0
     out, err = capsys.readouterr()
     json.loads(out)
     assert " ".join(err.split()).count("gnss.areas.0 is never entered") == 1
@@ -140,7 +140,7 @@ def test_smoother_budget_and_published_figures_come_with_a_run(
     }
     out = tmp_path / "out"
     path = write(tmp_path, smoother=True, published=published)
-    assert run(str(path), "--workers", "1", "--out", str(out), "--no-variants") == 0
+    assert run(str(path), "--workers", "1", "--output", str(out)) == 0
     told = " ".join(capsys.readouterr().out.split())
     for words in ("Smoothed backwards", "NEES of the smoother", "Where the metres come from", "largest error down"):
         assert words in told
@@ -155,10 +155,10 @@ def test_smoother_budget_and_published_figures_come_with_a_run(
     for name in ("smoothing.png", "budget.svg"):
         assert (out / "figures" / name).stat().st_size > 0
     wrong = write(tmp_path, published={"source": "a paper", "planimetric_mean_m": {"wite": [1.0]}})
-    assert run(str(wrong), "--out", str(tmp_path / "no")) == 2
+    assert run(str(wrong), "--output", str(tmp_path / "no")) == 2
     assert "'wite', which is no design here" in " ".join(capsys.readouterr().err.split())
     none = write(tmp_path, published={"source": "a paper"})
-    assert run(str(none), "--out", str(tmp_path / "no")) == 2
+    assert run(str(none), "--output", str(tmp_path / "no")) == 2
     assert "at least one of the keys planimetric_end_m" in " ".join(capsys.readouterr().err.split())
 
 
@@ -209,7 +209,7 @@ def test_a_second_run_with_fewer_realizations_replaces_nothing(
     out = tmp_path / "out"
     arguments = (
         str(write(tmp_path, variants={}, fits=None, designs={"full": SCENARIO["designs"]["full"]})),
-        "--out",
+        "--output",
         str(out),
     )
     assert run(*arguments) == 0
@@ -314,7 +314,7 @@ def test_what_fails_after_flying_loses_no_results(
     monkeypatch.setattr("insemu.report.render_experiment", fail)
     out = tmp_path / "out"
     path = write(tmp_path, variants={}, realizations=1, fits=None, designs={"full": SCENARIO["designs"]["full"]})
-    assert run(str(path), "--out", str(out)) == 1
+    assert run(str(path), "--output", str(out)) == 1
     told = " ".join(capsys.readouterr().err.split())
     assert "Failed: the error budget: no budget today" in told and "Failed: the page: no budget today" in told
     assert json.loads((out / "summary.json").read_text())["realizations"] == 1
@@ -326,7 +326,7 @@ def test_eighty_columns_show_what_decides(tmp_path: Path, monkeypatch: pytest.Mo
     written = io.BytesIO()
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setattr("sys.stdout", io.TextIOWrapper(written, encoding="ascii"))
-    assert run(str(path), "--no-pictures", "--out", str(tmp_path / "out")) == 0
+    assert run(str(path), "--no-pictures", "--output", str(tmp_path / "out")) == 0
     sys.stdout.flush()
     lines = written.getvalue().decode("ascii").splitlines()
     header = next(line for line in lines if line.startswith("design"))
@@ -449,7 +449,7 @@ def test_bad_input_is_one_line_exit_2_and_nothing_written(
 ) -> None:
     signals(tmp_path, **log)
     out = tmp_path / "out"
-    assert run(str(write(tmp_path, **changes)), "--out", str(out)) == 2
+    assert run(str(write(tmp_path, **changes)), "--output", str(out)) == 2
     error = capsys.readouterr().err
     assert message in " ".join(error.split())
     assert "Traceback" not in error

@@ -83,7 +83,7 @@ def test_from_logs_to_a_scenario_whose_sensor_is_another_each_time(tmp_path, cap
         np.savez(files[-1], data=np.stack(columns, axis=1), fs=100.0, columns=np.array(names), units=np.array(units))
     models = tmp_path / "models.yaml"
     with pytest.raises(SystemExit) as stop:
-        main(["fit", *files, "-m", "WN()", "--or", "WN() + RW()", "-o", str(models), "--bootstrap", "19"])
+        main(["fit-runs", *files, "-m", "WN()", "-m", "WN() + RW()", "-o", str(models), "--bootstrap", "19"])
     assert stop.value.code == 0
     said = capsys.readouterr().out
     assert "switch-on" in said

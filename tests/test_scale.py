@@ -105,7 +105,7 @@ def test_sums_that_were_added_on_the_way_are_those_of_all_epochs(
     assert same(tmp_path / "one", tmp_path / "two") and groups_same(tmp_path / "one", tmp_path / "two") and nodes
 
     for k in (3, 1, 3, 2):
-        assert run(str(path), "--shard", f"{k}/3", "--out", str(tmp_path / "three")) == 0
+        assert run(str(path), "--shard", f"{k}/3", "--output", str(tmp_path / "three")) == 0
     assert merge(tmp_path / "three") == 0
     assert groups_same(tmp_path / "one", tmp_path / "three")
 
@@ -148,13 +148,13 @@ def test_shards_in_any_order_and_twice_make_the_run(
     order = [1, 2, 4, 4]
     random.Random(1).shuffle(order)
     for k in order:
-        assert run(str(path), "--shard", f"{k}/4", "--out", str(out)) == 0
+        assert run(str(path), "--shard", f"{k}/4", "--output", str(out)) == 0
     capsys.readouterr()
     assert merge(out) == 2
     assert "missing or not finished: 3/4 (1 realization)" in capsys.readouterr().err
     assert not (out / "summary.json").exists()
-    assert run(str(path), "--shard", "2/2", "--out", str(out)) == 0
-    assert run(str(path), "--shard", "1/2", "--out", str(out)) == 0
+    assert run(str(path), "--shard", "2/2", "--output", str(out)) == 0
+    assert run(str(path), "--shard", "1/2", "--output", str(out)) == 0
     assert merge(out) == 0
     # error budgets come with a command
     found, expected = (json.loads((f / "summary.json").read_text()) for f in (out, whole))
@@ -163,7 +163,7 @@ def test_shards_in_any_order_and_twice_make_the_run(
     assert found == expected
     # another run's shard in the same folder
     other = write(tmp_path, **SIX, smoother=True, seed=4)
-    assert run(str(other), "--shard", "1/6", "--out", str(out)) == 0
+    assert run(str(other), "--shard", "1/6", "--output", str(out)) == 0
     capsys.readouterr()
     assert merge(out) == 2
     assert "belongs to another run" in capsys.readouterr().err

@@ -362,7 +362,7 @@ def test_solved_tracks_are_exported(solution: Solution, tmp_path: Path) -> None:
     write(solution, tmp_path / "solved")
     for name in ("a.kml", "a.gpx", "a.pos", "a.tum"):
         with pytest.raises(SystemExit) as end:
-            main(["export", str(tmp_path / "solved"), "--starts", "2024-05-01T12:00:00Z", "-o", str(tmp_path / name)])
+            main(["export", str(tmp_path / "solved"), "--origin", "2024-05-01T12:00:00Z", "-o", str(tmp_path / name)])
         assert end.value.code in (0, None)
     assert (tmp_path / "a.kml").read_text().count("<LineString>") >= 1
     assert (tmp_path / "a.tum").with_suffix(".cov.csv").exists()
@@ -392,6 +392,6 @@ def test_the_command_refuses_in_words(tmp_path: Path, capsys: pytest.CaptureFixt
         (["solve", str(tmp_path / "absent.npz")], "no such file"),
     ):
         with pytest.raises(SystemExit) as end:
-            main([*argv, "--out", str(tmp_path / "out")])
+            main([*argv, "--output", str(tmp_path / "out")])
         assert end.value.code == 2 and said in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

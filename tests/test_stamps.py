@@ -212,7 +212,7 @@ def test_a_drive_under_three_clocks_has_one_solution(tmp_path: Path) -> None:
     found = {}
     for name in ("clean", "week", "unix"):
         files = [tmp_path / f"{name}_{part}.csv" for part in ("imu", "gnss")]
-        assert run("solve", files[0], "--gnss", files[1], "--out", tmp_path / name) == 0
+        assert run("solve", files[0], "--gnss", files[1], "--output", tmp_path / name) == 0
         text = (tmp_path / name / "summary.json").read_text()
         summary = json.loads(text.replace(f"{name}_imu.csv", "imu.csv").replace(f"{name}_gnss.csv", "gnss.csv"))
         lines = summary["intake"].pop("lines")

@@ -126,7 +126,7 @@ def test_a_sweep_flies_every_point_goes_on_and_says_the_same(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     over = "gnss.position_sigma=[5 cm, 1 m],outage=[5 s, 10 s]"
-    assert run(str(file), "--over", over, "--out", str(tmp_path / "one"), "--workers", "1") == 0
+    assert run(str(file), "--over", over, "--output", str(tmp_path / "one"), "--workers", "1") == 0
     said = capsys.readouterr().out
     assert "Take right at" in said and "wrong at" not in said
     rows = list(csv.DictReader((tmp_path / "one" / "sweep.csv").read_text().splitlines()))
@@ -147,10 +147,10 @@ def test_a_sweep_flies_every_point_goes_on_and_says_the_same(
         return run_experiment(*arguments, **means)
 
     monkeypatch.setattr(swept, "run_experiment", stops)
-    assert run(str(file), "--over", over, "--out", str(tmp_path / "two"), "--workers", "1") != 0
+    assert run(str(file), "--over", over, "--output", str(tmp_path / "two"), "--workers", "1") != 0
     assert not (tmp_path / "two" / "sweep.csv").exists()
     flown.clear()
-    assert run(str(file), "--over", over, "--out", str(tmp_path / "two"), "--workers", "2") == 0
+    assert run(str(file), "--over", over, "--output", str(tmp_path / "two"), "--workers", "2") == 0
     assert len(flown) == 2
     for name in ("sweep.csv", "sweep.json"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
@@ -159,7 +159,7 @@ def test_a_sweep_flies_every_point_goes_on_and_says_the_same(
 def test_to_first_order_and_in_a_hypercube(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "cube"
     over = "gnss.position_sigma=2 cm..2 m log"
-    assert run(str(file), "--over", over, "--latin", "4", "--linear", "200", "--out", str(out), "--json") == 0
+    assert run(str(file), "--over", over, "--latin", "4", "--linear", "200", "--output", str(out), "--json") == 0
     document = json.loads(capsys.readouterr().out)
     own = [r for r in document["rows"] if r["design"] == "right"]
     assert document["linear"] and len(own) == 4 and all(r["knows"] == "yes" and r["by"] == "linear" for r in own)
@@ -178,13 +178,13 @@ def test_a_design_that_is_not_linear_is_flown_at_long_steps(tmp_path: Path, caps
     path, out = tmp_path / "bent.yaml", tmp_path / "bent"
     path.write_text(yaml.safe_dump(SCENARIO | {"truth": truth, "designs": designs}, sort_keys=False), encoding="utf-8")
     over = "gnss.position_sigma=[5 cm, 10 cm]"
-    assert run(str(path), "--over", over, "--linear", "200", "--out", str(out), "--json") == 0
+    assert run(str(path), "--over", over, "--linear", "200", "--output", str(out), "--json") == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
     assert {r["design"]: r["by"] for r in rows} == {"right": "linear", "white": "coarse"}
     assert all(bool(r["why"]) is (r["by"] == "coarse") for r in rows)
     page = (out / "index.html").read_text()
     assert "white, not linear: runs at long steps" in page and rows[1]["why"] in page
-    assert run(str(path), "--over", over, "--linear", "200", "--out", str(out)) == 0
+    assert run(str(path), "--over", over, "--linear", "200", "--output", str(out)) == 0
     assert "white is not linear at 2 of 2 points" in capsys.readouterr().out
 
 
@@ -192,8 +192,8 @@ def test_bad_points_are_refused_before_anything_is_flown(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    assert run(str(file), "--over", "sensor=[BMI088, NOSUCH]", "--out", str(out)) == 2
+    assert run(str(file), "--over", "sensor=[BMI088, NOSUCH]", "--output", str(out)) == 2
     assert "point 2 (sensor=NOSUCH)" in capsys.readouterr().err and not out.exists()
-    assert run(str(file), "--over", "outage=[5 s", "--out", str(out)) == 2 and not out.exists()
+    assert run(str(file), "--over", "outage=[5 s", "--output", str(out)) == 2 and not out.exists()
     with pytest.raises(InputError, match="point 1"):
         Sweep.of(file, "outage=[soon]")

@@ -219,6 +219,6 @@ def test_a_log_at_rest_is_refused(tmp_path: Path) -> None:
     header = "t [s]," + ",".join(f"{a} [{'rad/s' if a.startswith('gyro') else 'm/s^2'}]" for a in AXES)
     np.savetxt(log, rows, delimiter=",", header=header, comments="")
     save({a: NoiseModel((WN(1e-3),)) for a in AXES}, models)
-    result = CliRunner().invoke(app, ["transfer", str(models), "--drive", str(log)])
+    result = CliRunner().invoke(app, ["transfer", str(models), str(log)])
     assert isinstance(result.exception, InputError)
     assert "is a log at rest" in str(result.exception)

@@ -143,18 +143,18 @@ def test_a_control_variate_narrows_and_holds_the_mean_and_is_refused_without_cor
 
 def test_preview_and_help_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, out = write(tmp_path, **TWO, realizations=4), tmp_path / "out"
-    assert run(str(path), "--linear", "500", "--out", str(out), "--json") == 0
+    assert run(str(path), "--linear", "500", "--output", str(out), "--json") == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["linear"] is True and [r["design"] for r in printed["rows"]] == ["white", "full"]
     assert json.loads((out / "summary.json").read_text()) == printed and printed["not_linear"] == {}
     assert "Every design is linear" in (out / "index.html").read_text()
     (out / "complete.json").write_text("{}")
-    assert run(str(path), "--linear", "500", "--out", str(out)) == 2
+    assert run(str(path), "--linear", "500", "--output", str(out)) == 2
     assert "holds the results of flights" in capsys.readouterr().err
     out = tmp_path / "flown"
     assert run(str(path), "--linear", "500", "--shard", "1/2") == 2
     assert "--shard and --linear exclude each other" in capsys.readouterr().err
-    assert run(str(path), "--control", "500", "--out", str(out)) == 0
+    assert run(str(path), "--control", "500", "--output", str(out)) == 0
     assert "linear realizations" in capsys.readouterr().out
     cell = json.loads((out / "control.json").read_text())["designs"]["full"][0]
     assert cell["correlation"] > 0.9 and cell["used"]

@@ -70,7 +70,7 @@ def test_a_run_goes_on_until_the_goal_is_reached(tmp_path: Path, capsys: pytest.
         variants={}, fits=None, designs={"full": SCENARIO["designs"]["full"]},
     )  # fmt: skip
     out = tmp_path / "out"
-    assert run(str(path), "--until", "planimetric_end mean full within 25 %", "--out", str(out), "--json") == 0
+    assert run(str(path), "--until", "planimetric_end mean full within 25 %", "--output", str(out), "--json") == 0
     said, told = capsys.readouterr()
     found = json.loads(said)
     assert (

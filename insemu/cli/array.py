@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from insemu.cli.options import argument, option
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -15,34 +17,31 @@ if TYPE_CHECKING:
 
 
 def command(
-    files: list[str] = typer.Argument(  # noqa: B008
-        ...,
-        metavar="LOG...",
-        help="Static logs, one per IMU and sampled together, or one log whose columns name the IMU (gx_1, imu2_gyro_x).",
+    files: list[str] = argument(
+        "LOG...",
+        "Log at rests, one per IMU and sampled together, or one log whose columns name the IMU (gx_1, imu2_gyro_x).",
     ),
-    model: str = typer.Option(
-        ..., "--model", "-m", help='Structure of every axis, for example "WN() + GM()"; shared=NAME is one in all IMUs.'
+    model: str = option(
+        "--model", ..., 'Structure of every axis, for example "WN() + GM()"; shared=NAME is one in all IMUs.'
     ),
-    scenario: str = typer.Option(
-        "shared_process",
+    scenario: str = option(
         "--scenario",
-        help="Flight with outages: a scenario file, or one that comes with insemu. Its first design says how the filter runs.",
+        "shared_process",
+        "Flight with outages: a scenario file, or one that comes with insemu. Its first design says how the filter runs.",
     ),
-    plus: str = typer.Option(
-        "",
+    plus: str = option(
         "--plus",
-        help='What every IMU has beside its fit: "gyro=RC(sigma=0.1 deg/s), accel=RC(sigma=5 mg)", a turn-on bias.',
+        "",
+        'What every IMU has beside its fit: "gyro=RC(sigma=0.1 deg/s), accel=RC(sigma=5 mg)", a turn-on bias.',
     ),
-    rate: str = typer.Option("", "--rate", help='Sampling rate of a log that does not say it, for example "100 Hz".'),
-    skip: str = typer.Option("0 s", "--skip", help="Leave out the start of the record, for example 40 min of warm-up."),
-    take: str = typer.Option(
-        "metres", "--take", help="Weights that are written: metres, scale-wise, inverse or equal."
-    ),
-    out: str = typer.Option("", "--out", "-o", help="Write the virtual sensor's models (YAML) for a scenario."),
-    log: str = typer.Option("", "--log", help="Write the virtual sensor's static log (.npz or .csv), for insemu fit."),
-    page: str = typer.Option("", "--page", help="Write a page with figures (HTML)."),
-    seed: int = typer.Option(0, "--seed", min=0, help="Seed of the draws behind the intervals."),
-    as_json: bool = typer.Option(False, "--json", help="Print the result as JSON on standard output."),
+    rate: str = option("--rate", ""),
+    skip: str = option("--skip", "0 s"),
+    take: str = option("--take", "metres"),
+    out: str = option("--output", "", "Write the virtual sensor's models (YAML) for a scenario."),
+    log: str = option("--log", "", "Write the virtual sensor's static log (.npz or .csv), for insemu fit."),
+    page: str = option("--page", ""),
+    seed: int = option("--seed", 0, "Seed of the draws behind the intervals."),
+    as_json: bool = option("--json", False),
 ) -> None:
     """Weigh the IMUs of an array: equally, by variance, scale-wise, and for the fewest metres at outage end."""
     import json
@@ -78,7 +77,7 @@ def command(
         write_log(Path(log), found.virtual(names[take]))
         console.print(f"log of the virtual sensor: {log}")
     if out:
-        write(found.fitted(model, names[take]), out, "", console)
+        write(found.fitted(model, names[take]), out, console)
     if page:
         from insemu.report import render_array
 
@@ -86,12 +85,12 @@ def command(
 
 
 def _read(files: list[str], rate: str, skip: str) -> dict[str, dict[str, Series]]:
-    """Static logs by IMU."""
+    """Log at rests by IMU."""
     from pathlib import Path
 
     from insemu.array import by_unit
     from insemu.cli.announce import announce
-    from insemu.cli.fit import read_static
+    from insemu.cli.logs import read_static
     from insemu.errors import InputError
     from insemu.units import parse
 

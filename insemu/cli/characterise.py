@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from insemu.cli.options import argument, option
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -17,28 +19,16 @@ ALARM = 0.01
 
 
 def command(
-    file: str = typer.Argument(..., metavar="FILE", help="Static log: .npz, .csv or .npy (columns with units)."),
-    rate: str = typer.Option("", "--rate", help="Sampling rate of a log that does not say it, such as '100 Hz'."),
-    columns: list[str] | None = typer.Option(  # noqa: B008
-        None,
-        "--columns",
-        "--column",
-        "-c",
-        help="Only these columns, separated by commas (gx or gyro_x); may be repeated.",
-    ),
-    robust: bool = typer.Option(False, "--robust", help="Read the coefficients off the robust curve."),
-    wavelet: str = typer.Option("haar", "--wavelet", help="Filter of the wavelet variance, such as d8 or la8."),
-    overlay: bool = typer.Option(True, "--overlay/--no-overlay", help="Also draw the axes of a sensor in one panel."),
-    beside: str = typer.Option("", "--beside", help="JSON of other sensors' wavelet variances, drawn behind ours."),
-    same_as: str = typer.Option(
-        "", "--same-as", help="Another log: test axis by axis whether both have one noise model (wavelet variances)."
-    ),
-    out: str = typer.Option(
-        "", "--out", "-o", help="Folder for page, figures and JSON; default results/characterise_NAME."
-    ),
-    as_json: bool = typer.Option(
-        False, "--json", help="Print JSON on standard output; files are written only with --out."
-    ),
+    file: str = argument("LOG"),
+    rate: str = option("--rate", ""),
+    columns: list[str] | None = option("--columns", None),
+    robust: bool = option("--robust", False, "Read the coefficients off the robust curve."),
+    wavelet: str = option("--wavelet", "haar"),
+    overlay: bool = option("--overlay", True),
+    beside: str = option("--beside", ""),
+    same_as: str = option("--same-as", ""),
+    out: str = option("--output", "", "Folder for page, figures and JSON; default results/characterise_NAME."),
+    as_json: bool = option("--json", False, "Print JSON on standard output; files are written only with --output."),
 ) -> None:
     """Characterise a static log: variances, spectrum, what can be read off them, and what is wrong with the log."""
     import json

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from insemu.cli.counts import DRAWS, WORKERS
+from insemu.cli.options import argument, option
 from insemu.shown import count_of
 
 if TYPE_CHECKING:
@@ -16,26 +16,18 @@ if TYPE_CHECKING:
 
 
 def command(
-    scenario: str = typer.Argument(..., metavar="SCENARIO", help="Scenario file (YAML)."),
-    designs: str = typer.Option(
-        "",
-        "--designs",
-        help="Designs separated by commas, the scenario's or those of insemu designs; default the scenario's.",
-    ),
-    base: str = typer.Option("", "--base", help="Design that the others are measured against; default the first."),
-    variant: str | None = typer.Option(None, "--variant", help="Variant of the scenario."),
-    analytic: bool = typer.Option(
-        False, "--analytic", help="Covariance analysis and error budgets instead of flying (a truth of noise models)."
-    ),
-    by: str = typer.Option("process", "--by", help="Parts of the budget: source, axis or process."),
-    realizations: int | None = typer.Option(None, "--realizations", min=2, max=DRAWS, help="Default the scenario's."),
-    seed: int | None = typer.Option(None, "--seed", min=0, help="Default the scenario's."),
-    workers: int | None = typer.Option(
-        None, "--workers", min=1, max=WORKERS, help="Realizations flown at a time; default the cores."
-    ),
-    cluster: str = typer.Option("", "--cluster", help="Fly on a Dask cluster: local, or tcp://HOST:PORT."),
-    out: str = typer.Option("", "--out", help="Folder for the page; with --analytic default results/NAME-compare."),
-    as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output."),
+    scenario: str = argument("SCENARIO"),
+    designs: str = option("--designs", ""),
+    base: str = option("--base", ""),
+    variant: str | None = option("--variant", None),
+    analytic: bool = option("--analytic", False),
+    by: str = option("--by", "process"),
+    realizations: int | None = option("--realizations", None),
+    seed: int | None = option("--seed", None),
+    workers: int | None = option("--workers", None),
+    cluster: str = option("--cluster", ""),
+    out: str = option("--output", "", "Folder for the page; with --analytic default results/NAME-compare."),
+    as_json: bool = option("--json", False),
 ) -> None:
     """Compare filter designs: paired ratios with intervals, effect sizes and ranks at the end of every outage.
 

@@ -1,4 +1,4 @@
-"""What ``insemu fit --covariate`` and ``--regress`` share: a log opened with its other columns, every axis fitted, results handed out."""
+"""What ``insemu fit-covariate`` and ``fit-regressors`` share: a log opened with its other columns, every axis fitted, results handed out."""
 
 from __future__ import annotations
 
@@ -27,27 +27,6 @@ class _Fit(Protocol):
 F = TypeVar("F", bound=_Fit)
 
 
-def alone(given: Mapping[str, object], option: str, what: str) -> None:
-    """Raise ``InputError`` where an option of ``fit`` is given that another one does not go with.
-
-    Parameters
-    ----------
-    given : mapping
-        Name of the option to what it was given.
-    option : str
-        With which they do not go.
-    what : str
-        What is fitted by gmwm with the Haar filter only.
-    """
-    from insemu.errors import InputError
-
-    usual = {"method": "gmwm", "wavelet": "haar"}
-    wrong = [name for name, value in given.items() if value and value != usual.get(name)]
-    if wrong:
-        named = "several files" if wrong[0] == "files" else f"--{wrong[0]}"
-        raise InputError(f"found {named}; {what} are fitted to one log by gmwm with the Haar filter", where=option)
-
-
 @dataclass(frozen=True)
 class Request:
     """A log, a structure and where the results go.
@@ -62,10 +41,8 @@ class Request:
         Sampling rate of a log that does not say it, and what is left out at the start.
     columns : list of str or None
         Axes that are fitted.
-    tau : (float, float)
-        Scales to use, s.
-    show : callable
-        Prints the parameters of a fit.
+    tau_from, tau_to : str
+        Scales to use.
     out, page : str
         Model file and page to write, or nothing.
     as_json : bool
@@ -77,11 +54,18 @@ class Request:
     rate: str
     skip: str
     columns: list[str] | None
-    tau: tuple[float, float]
-    show: Callable[[Console, Mapping[str, FitResult]], None]
+    tau_from: str
+    tau_to: str
     out: str
     page: str
     as_json: bool
+
+    @property
+    def tau(self) -> tuple[float, float]:
+        """Shortest and longest scale to use, s."""
+        from insemu.cli.fit import scales
+
+        return scales(self.tau_from, self.tau_to)
 
     def opened(self) -> tuple[list[Series], Mapping[str, Array]]:
         """The axes that are asked for, all where none is, and what else the log has."""
@@ -139,7 +123,7 @@ class Request:
         import typer
         from rich.console import Console
 
-        from insemu.fit import save
+        from insemu.cli.fit import show, write
 
         console = Console(stderr=self.as_json)
         if self.as_json:
@@ -147,10 +131,8 @@ class Request:
             typer.echo(json.dumps(plain, indent=1, allow_nan=False))
         else:
             for axis, found in results.items():
-                self.show(console, {axis: found.result})
+                show(console, {axis: found.result})
                 detail(console, axis, found)
-        if self.out:
-            save({axis: f.result for axis, f in results.items()}, self.out)
-            console.print(f"models: {self.out}")
+        write({axis: f.result for axis, f in results.items()}, self.out, console)
         if self.page:
             console.print(f"page: {render(results, self.page, source=self.file)}")

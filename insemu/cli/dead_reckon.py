@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import typer
 
+from insemu.cli.options import argument, option
+
 
 def command(
-    recording: str = typer.Argument(..., metavar="RECORDING", help="Recording with a reference (.npz or folder)."),
-    gravity: str = typer.Option("normal", "--gravity", help="Gravity model: normal or free_air_first_order."),
-    out: str = typer.Option("", "--out", help="Write a page with the errors over time (HTML)."),
-    as_json: bool = typer.Option(False, "--json", help="Print the figures as JSON."),
+    recording: str = argument("RECORDING", "Recording with a reference (.npz or folder)."),
+    gravity: str = option("--gravity", "normal"),
+    out: str = option("--page", "", "Write a page with the errors over time (HTML)."),
+    as_json: bool = option("--json", False),
 ) -> None:
     """Dead-reckon a recording from its own reference at the first IMU epoch.
 

@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from insemu.cli.options import argument, option
+
 if TYPE_CHECKING:
     from insemu.scenario import Design, Scenario
 
 
 def command(
-    name: str = typer.Argument(
-        "", metavar="[NAME]", help="Show this design: its states, and what to write in a scenario."
-    ),
-    scenario: str = typer.Option("", "--scenario", help="The designs of this scenario file instead."),
-    as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output."),
+    name: str = argument("[NAME]", "Show this design: its states, and what to write in a scenario.", default=""),
+    scenario: str = option("--scenario", "", "The designs of this scenario file instead."),
+    as_json: bool = option("--json", False),
 ) -> None:
     """List filter designs with the number and names of their states.
 

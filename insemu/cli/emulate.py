@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import typer
 
-from insemu.cli.counts import DRAWS
+from insemu.cli.options import argument, option
 
 
 def command(
-    scenario: str = typer.Argument(..., metavar="SCENARIO", help="Scenario file (YAML)."),
-    out: str = typer.Option(..., "--out", help="Recording to write: a .npz file or a folder."),
-    realization: int = typer.Option(0, "--realization", min=0, max=DRAWS, help="Which realization of the scenario."),
-    seed: int | None = typer.Option(None, "--seed", min=0, help="Seed of all random draws; default the scenario's."),
-    variant: str | None = typer.Option(None, "--variant", help="Name of one of the scenario's variants."),
-    ideal: bool = typer.Option(False, "--ideal", help="Perfect sensors: no errors on the IMU or the fixes."),
-    figure: str = typer.Option(
-        "", "--figure", help="Also draw track, speed, turn rate and residuals (PNG, PDF, SVG or HTML page)."
-    ),
-    as_json: bool = typer.Option(False, "--json", help="Print what was written as JSON."),
+    scenario: str = argument("SCENARIO"),
+    out: str = option("--output", ..., "Recording to write: a .npz file or a folder."),
+    realization: int = option("--realization", 0),
+    seed: int | None = option("--seed", None),
+    variant: str | None = option("--variant", None),
+    ideal: bool = option("--ideal", False),
+    figure: str = option("--figure", "", "Also draw track, speed, turn rate and residuals (PNG, PDF or SVG)."),
+    page: str = option("--page", ""),
+    as_json: bool = option("--json", False),
 ) -> None:
     """Emulate one realization of a scenario: IMU with its errors, GNSS with its outages, and the reference.
 
@@ -32,20 +31,21 @@ def command(
     from insemu.scenario import load
 
     check_target(out, log=False)
-    if figure:
+    drawn = [file for file in (figure, page) if file]
+    if drawn:
         from insemu.report import check_figure, draw_track
 
-        check_figure(figure)
+        check_figure(figure, page)
     given = load(scenario, variant=variant, overrides={"seed": seed})
     world = EmulatedWorld(given, scenario)
     for warning in world.warnings:
         typer.echo(f"insemu: warning: {warning}", err=True)
     recording = world.recording(realization, ideal=ideal)
     path = write(out, recording)
-    if figure:
+    for file in drawn:
         draw_track(
             world.flight,
-            figure,
+            file,
             track=world.track,
             source=scenario,
             length_s=world.duration_s,

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import typer
 
+from insemu.cli.options import argument, option
+
 
 def command(
-    unit: str = typer.Argument(..., metavar="UNIT", help="Recording of the IMU whose errors are wanted."),
-    reference: str = typer.Argument(..., metavar="REFERENCE", help="Recording of the better IMU on the same mount."),
-    out: str = typer.Option(..., "--out", "-o", help="Static log of the errors to write (.npz or .csv)."),
-    search: str = typer.Option("10 s", "--search", help="Largest time offset that is searched for."),
+    unit: str = argument("UNIT"),
+    reference: str = argument("REFERENCE"),
+    out: str = option("--output", ..., "Log at rest of the errors to write (.npz or .csv)."),
+    max_offset: str = option("--max-offset", "10 s"),
 ) -> None:
     """Write what an IMU recorded less what a reference recorded, time offset, mounting and lever arm taken off.
 
@@ -28,8 +30,8 @@ def command(
 
     target = Path(out)
     if target.suffix not in (".npz", ".csv"):
-        raise InputError(f"found the suffix '{target.suffix}', expected .npz or .csv", where="--out")
-    found = difference(formats.read_imu(unit), formats.read_imu(reference), search_s=units.parse(search, "s"))
+        raise InputError(f"found the suffix '{target.suffix}', expected .npz or .csv", where="--output")
+    found = difference(formats.read_imu(unit), formats.read_imu(reference), search_s=units.parse(max_offset, "s"))
     series = [Series(found.values[:, k], found.rate_hz, axis_unit(a), a) for k, a in enumerate(AXES)]
     formats.write(target, series)
     turn, arm, sigma = np.degrees(found.rpy), found.lever_arm, found.sigma

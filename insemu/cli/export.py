@@ -6,35 +6,33 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from insemu.cli.options import argument, option
+
 if TYPE_CHECKING:
     from pathlib import Path
 
 
 def command(
-    file: str = typer.Argument(
-        ...,
-        metavar="FILE",
-        help="Models (YAML of `insemu fit -o`), a recording or track, or a folder of `insemu solve` or `insemu run`.",
+    file: str = argument(
+        "FILE", "Models (YAML of `insemu fit -o`), a recording or track, or a folder of `insemu solve` or `insemu run`."
     ),
-    out: str = typer.Option(
-        ..., "--out", "-o", help="File to write; tracks: .tum, .kml, .gpx, .pos or .csv; an IMU: .imu."
-    ),
-    to: str = typer.Option(
-        "",
+    out: str = option("--output", ..., "File to write; tracks: .tum, .kml, .gpx, .pos or .csv; an IMU: .imu."),
+    to: str = option(
         "--to",
-        help="Of models: kalibr, openvins, vins-fusion, gazebo, rotors, px4, kf-gins, gtsam, matlab or gnss-ins-sim. Of .imu: IMAR, LN200, "
+        "",
+        "Of models: kalibr, openvins, vins-fusion, gazebo, rotors, px4, kf-gins, gtsam, matlab or gnss-ins-sim. Of .imu: IMAR, LN200, "
         "LN200IG, IXSEA, NAVCHIP_INT or NAVCHIP_FLT.",
     ),
-    rate: str = typer.Option("100 Hz", "--rate", help="Of models: sampling rate of the sensor there."),
-    record: str = typer.Option("1 h", "--record", help="Of models: length of the record that they were fitted to."),
-    reference: bool = typer.Option(False, "--reference", help="Of recordings: the reference instead of the fixes."),
-    starts: str = typer.Option(
-        "", "--starts", help="Of recordings: date of time 0 (2024-05-01T12:00:00Z), where stamps are no dates."
+    rate: str = option("--rate", "100 Hz", "Of models: sampling rate of the sensor there."),
+    record: str = option("--log-length", "1 h", "Of models: length of the record that they were fitted to."),
+    reference: bool = option("--reference", False),
+    origin: str = option(
+        "--origin", "", "Of recordings: date of time 0 (2024-05-01T12:00:00Z), where stamps are no dates."
     ),
-    outage: list[str] | None = typer.Option(  # noqa: B008
-        None, "--outage", help="Of recordings: START:END in s, coloured in KML; may be repeated."
+    outage: list[str] | None = option(
+        "--outage", None, "Of recordings: START:END in s, coloured in KML; may be repeated."
     ),
-    realization: int = typer.Option(1, "--realization", help="Of runs: which one is drawn in KML, from 1."),
+    realization: int = option("--realization", 0, "Of runs: which one is drawn in KML, from 0."),
 ) -> None:
     """Write what other programs read.
 
@@ -54,7 +52,7 @@ def command(
 
         write_overlay(ways_of_run(Path(file), realization), target)
     else:
-        _track(file, target, reference=reference, starts=starts, outage=outage or [])
+        _track(file, target, reference=reference, origin=origin, outage=outage or [])
     typer.echo(f"wrote: {target}", err=True)
 
 
@@ -81,7 +79,7 @@ def _imu(file: str, target: Path, to: str) -> None:
     write_imu_binary(target, read_imu(file, on_its_clock=True), to)
 
 
-def _track(file: str, target: Path, *, reference: bool, starts: str, outage: list[str]) -> None:
+def _track(file: str, target: Path, *, reference: bool, origin: str, outage: list[str]) -> None:
     from dataclasses import replace
     from datetime import UTC, datetime
     from pathlib import Path
@@ -107,12 +105,12 @@ def _track(file: str, target: Path, *, reference: bool, starts: str, outage: lis
         if data is None:
             raise InputError("has neither fixes nor a reference", where=file)
         way = way_of(data, Path(file).stem, spans, found.origin)
-    if starts:
+    if origin:
         try:
-            when = datetime.fromisoformat(starts.replace("Z", "+00:00"))
+            when = datetime.fromisoformat(origin.replace("Z", "+00:00"))
         except ValueError:
             raise InputError(
-                f"is '{starts[:40]}', expected a date such as 2024-05-01T12:00:00Z", where="--starts"
+                f"is '{origin[:40]}', expected a date such as 2024-05-01T12:00:00Z", where="--origin"
             ) from None
         zero = (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
         way = replace(way, t=way.t + zero, outages=[(a + zero, b + zero) for a, b in way.outages], origin=OWN)

@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from insemu.cli.counts import DRAWS, WORKERS
+from insemu.cli.options import DRAWS, argument, option
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from pathlib import Path
 
     from rich.console import Console
 
@@ -20,95 +19,48 @@ if TYPE_CHECKING:
     from insemu.variance import WaveletVariance
 
 
-#: Fewest samples of a log.
-LEAST = 16
-
-
 def command(
-    files: list[str] = typer.Argument(  # noqa: B008
-        ...,
-        metavar="FILE...",
-        help="Static log: .npz, .csv or .npy (columns with units). Several: runs of one sensor (gmwm).",
-    ),
-    model: str = typer.Option(
-        ..., "--model", "-m", help='Structure, for example "2*GM() + WN()"; given values are held.'
-    ),
-    covariate: str = typer.Option(
-        "",
-        "--covariate",
-        help="Levels follow temperature, speed, rate, force, vibration or a column, over segments of the log or drive: NAME or NAME:SEGMENTS. All "
-        'processes follow it, or those that say so: "WN(follows=temperature) + GM()".',
-    ),
-    regress: str = typer.Option(
-        "",
-        "--regress",
-        help='Estimate together with the noise what the signal follows: "temperature, lag(temperature, 300 s), time, time^2", columns.',
-    ),
-    alternatives: list[str] | None = typer.Option(  # noqa: B008
-        None, "--or", help="Of several runs: another structure; the one that predicts runs left out best is taken."
-    ),
-    method: str = typer.Option(
-        "gmwm",
+    log: str = argument("LOG"),
+    model: str = option("--model", ...),
+    method: str = option(
         "--method",
-        help="gmwm, indirect, em, mli, slopes (of the Allan variance), psd-slopes, hadamard-slopes, total-slopes, "
+        "gmwm",
+        "gmwm, indirect, em, mli, slopes (of the Allan variance), psd-slopes, hadamard-slopes, total-slopes, "
         "autocorrelation or burg.",
     ),
-    robust: bool = typer.Option(False, "--robust", help="Use the wavelet variance that outliers cannot move (gmwm)."),
-    per_axis: bool = typer.Option(
-        True,
-        "--per-axis/--pooled",
-        help="A model per axis, or one per sensor triad from the mean of its curves (gmwm).",
-    ),
-    columns: list[str] | None = typer.Option(  # noqa: B008
-        None,
-        "--columns",
-        "--column",
-        "-c",
-        help="Only these columns, separated by commas (gx or gyro_x); may be repeated.",
-    ),
-    rate: str = typer.Option("", "--rate", help='Sampling rate of a log that does not say it, for example "100 Hz".'),
-    skip: str = typer.Option(
-        "0 s", "--skip", help='Leave out the start of the record, for example "40 min" of warm-up.'
-    ),
-    wavelet: str = typer.Option("haar", "--wavelet", help="Filter of the wavelet variance (gmwm), such as d8 or la8."),
-    weighting: str = typer.Option(
-        "auto",
-        "--weighting",
-        help="Of gmwm: intervals, asymptotic or bootstrap (covariance under the model); auto: see docs/fitting.md.",
-    ),
-    start: str = typer.Option("", "--start", help="Model with values to start from (gmwm, em, mli)."),
-    tau_from: float = typer.Option(0.0, "--tau-from", help="Shortest scale to use, s (gmwm)."),
-    tau_to: float = typer.Option(0.0, "--tau-to", help="Longest scale to use, s (gmwm); 0 takes all."),
-    denoise: str = typer.Option(
-        "",
+    columns: list[str] | None = option("--columns", None),
+    rate: str = option("--rate", ""),
+    skip: str = option("--skip", "0 s"),
+    robust: bool = option("--robust", False, "Use the wavelet variance that outliers cannot move (gmwm)."),
+    pooled: bool = option("--pooled", False),
+    wavelet: str = option("--wavelet", "haar"),
+    weighting: str = option("--weighting", "auto"),
+    start: str = option("--start", ""),
+    tau_from: str = option("--tau-from", ""),
+    tau_to: str = option("--tau-to", ""),
+    denoise: str = option(
         "--denoise",
-        help="Of burg and autocorrelation: rule and octaves that are de-noised first, sure:6, universal:6, packets:6 or "
+        "",
+        "Of burg and autocorrelation: rule and octaves that are de-noised first, sure:6, universal:6, packets:6 or "
         "approximation:7,accel_y=6 (axes that differ).",
     ),
-    pattern: str = typer.Option("uniform", "--pattern", help="Of mli: uniform or log."),
-    workers: int | None = typer.Option(
-        None, "--workers", min=1, max=WORKERS, help="Axes fitted at a time; default the number of cores."
+    pattern: str = option("--pattern", "uniform"),
+    bootstrap: int = option("--bootstrap", 0, min=0, max=DRAWS),
+    seed: int = option("--seed", 0, "Seed of bootstrap and draws."),
+    workers: int | None = option("--workers", None),
+    cluster: str = option(
+        "--cluster", "", "Simulate and refit for --bootstrap on a Dask cluster: local, or tcp://HOST:PORT."
     ),
-    cluster: str = typer.Option(
-        "", "--cluster", help="Simulate and refit for --bootstrap on a Dask cluster: local, or tcp://HOST:PORT."
-    ),
-    bootstrap: int = typer.Option(
-        0,
-        "--bootstrap",
-        min=0,
-        max=DRAWS,
-        help="Intervals and information criterion from so many simulated signals (gmwm); 0: closed form. Of several runs: draws of the test "
-        "of near-stationarity.",
-    ),
-    seed: int = typer.Option(0, "--seed", min=0, help="Seed of bootstrap and draws."),
-    out: str = typer.Option("", "--out", "-o", help="Write the models as YAML that a scenario reads."),
-    kalibr: str = typer.Option("", "--kalibr", help="Write a Kalibr / OpenVINS imu.yaml."),
-    page: str = typer.Option("", "--page", help="Write a page with figures (HTML)."),
-    as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output instead of tables."),
+    out: str = option("--output", "", "Write the models as YAML that a scenario reads."),
+    page: str = option("--page", ""),
+    as_json: bool = option("--json", False),
 ) -> None:
-    """Fit a noise model to every axis of a static log."""
+    """Fit a noise model to every axis of a log at rest.
+
+    Several runs of one sensor: insemu fit-runs. Levels that follow a covariate: insemu fit-covariate. With regressors: insemu fit-regressors. A
+    model in another program's words: insemu export.
+    """
     import json
-    import math
     import os
 
     import numpy as np
@@ -116,57 +68,37 @@ def command(
 
     from insemu import units
     from insemu.cli.announce import announce
-    from insemu.cli.covariates import Request, alone
-    from insemu.cli.following import fit_covariate
+    from insemu.cli.logs import read_static
     from insemu.cli.printing import counting
-    from insemu.cli.regressors import fit_regressors
     from insemu.fit import check_bootstrap
 
-    if bootstrap and len(files) == 1:
+    if bootstrap:
         check_bootstrap(method, bootstrap)
-    file = files[0]
-    for name in files:
-        announce(name, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
-    scales = (tau_from, tau_to or math.inf)
-    others = {"method": method, "wavelet": wavelet, "robust": robust, "start": start, "bootstrap": bootstrap}
-    others |= {"pooled": not per_axis, "kalibr": kalibr, "or": alternatives, "files": files[1:]}
-    if regress or covariate or "follows" in model:
-        request = Request(file, model, rate, skip, columns, scales, show, out, page, as_json)
-        if regress:
-            alone(others | {"covariate": covariate}, "--regress", "regressors and noise")
-            return fit_regressors(request, regress)
-        alone(others, "--covariate", "levels that follow a covariate")
-        return fit_covariate(request, covariate)
-    if len(files) > 1:
-        from insemu.cli.runs import fit_many
-
-        runs = [read_static(name, rate, columns, skip) for name in files]
-        fit_many(runs, [model, *(alternatives or [])], bootstrap=bootstrap, seed=seed, out=out, as_json=as_json)
-        return
-    options = options_of(method, wavelet, weighting, seed, pattern, (tau_from, tau_to or math.inf))
+    announce(log, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
+    options = options_of(method, wavelet, weighting, seed, pattern, scales(tau_from, tau_to))
     pieces = (method == "mli" and pattern == "uniform") or (method == "gmwm" and wavelet == "haar" and not robust)
     streamed = (
-        fit_streamed(file, rate, columns, skip, model, start, method, options)
-        if pieces and per_axis and not page
+        fit_streamed(log, rate, columns, skip, model, start, method, options)
+        if pieces and not pooled and not page
         else None
     )
-    series = [] if streamed else read_static(file, rate, columns, skip)
+    series = [] if streamed else read_static(log, rate, columns, skip)
     own = denoising(denoise, method, [s.name for s in series]) if denoise else {}
+    many = workers or os.cpu_count() or 1
     with counting(Console(stderr=True), f"fitting by {method}", len(series)) as finished:
         if streamed:
             results = streamed
-        elif per_axis:
-            many = workers or os.cpu_count() or 1
-            results = fit_axes(series, model, method, start, robust, options, many, progress=finished, own=own)
-        else:
+        elif pooled:
             results = fit_pooled(series, model, method, start, robust, options)
+        else:
+            results = fit_axes(series, model, method, start, robust, options, many, progress=finished, own=own)
     if bootstrap:
         from insemu.cluster import cluster as dask_cluster
         from insemu.work import run_items
 
         children = np.random.default_rng(seed).spawn(len(results))
         asked = {axis: (r, bootstrap, child) for (axis, r), child in zip(results.items(), children, strict=True)}
-        with dask_cluster(cluster, min(workers or os.cpu_count() or 1, len(asked))) as pool:
+        with dask_cluster(cluster, min(many, len(asked))) as pool:
             results = run_items(asked, bootstrapped, pool=pool)
     console = Console(stderr=as_json)
     if as_json:
@@ -177,13 +109,20 @@ def command(
         console.print(fits_answer(results), highlight=False, style="bold")
         show(console, results)
         show_shared(console, results)
-    write(results, out, kalibr, console)
+    write(results, out, console)
     if page:
         from insemu.report import render_fits
 
-        console.print(
-            f"page: {render_fits(results, page, series=series, rng=np.random.default_rng(seed), source=file)}"
-        )
+        console.print(f"page: {render_fits(results, page, series=series, rng=np.random.default_rng(seed), source=log)}")
+
+
+def scales(tau_from: str, tau_to: str) -> tuple[float, float]:
+    """Shortest and longest scale to use, s; all where nothing is given."""
+    import math
+
+    from insemu import units
+
+    return units.parse(tau_from, "s") if tau_from else 0.0, units.parse(tau_to, "s") if tau_to else math.inf
 
 
 def options_of(
@@ -211,31 +150,6 @@ def options_of(
     return options | ({"rng": np.random.default_rng(seed)} if method in ("gmwm", "indirect") else {})
 
 
-def read_static(file: str, rate: str, columns: list[str] | None, skip: str = "0 s") -> list[Series]:
-    """The columns of a static log without its first part."""
-    from dataclasses import replace
-
-    from insemu import units
-    from insemu.cli.logs import column_names
-    from insemu.errors import InputError
-    from insemu.logs import open_log
-
-    series = open_log(file, units.parse(rate, "Hz") if rate else None, column_names(columns)).series(gaps=True)
-    seconds = units.parse(skip, "s")
-    if seconds < 0:
-        raise InputError(f"--skip is {skip}, expected a duration that is not negative")
-    out = []
-    for s in series:
-        first = round(seconds * s.rate_hz)
-        if len(s) - s.missing < LEAST:
-            raise InputError(f"{s.name} has {len(s) - s.missing} samples, expected at least {LEAST}", where=file)
-        rest = replace(s, values=s.values[first:]) if first else s
-        if len(rest) - rest.missing < LEAST:
-            raise InputError(f"--skip {skip} leaves less than {LEAST} of the {len(s)} samples of {s.name}", where=file)
-        out.append(rest)
-    return out
-
-
 def fit_streamed(
     file: str,
     rate: str,
@@ -259,7 +173,7 @@ def fit_streamed(
     from pathlib import Path
 
     from insemu import formats, units
-    from insemu.cli.logs import column_names
+    from insemu.cli.logs import LEAST, column_names
     from insemu.errors import InputError
     from insemu.fit import LARGE, fit, fit_mli_pieces
     from insemu.logs import LONG
@@ -526,21 +440,10 @@ def show_shared(console: Console, results: Mapping[str, FitResult]) -> None:
         console.print(table)
 
 
-def write(results: Mapping[str, FitResult], out: str, kalibr_path: str, console: Console) -> None:
-    """Write the model file and the Kalibr file where asked for."""
-    from pathlib import Path
-
-    from insemu.fit import kalibr, save
-    from insemu.whole import put
+def write(results: Mapping[str, FitResult], out: str, console: Console) -> None:
+    """Write the model file where asked for."""
+    from insemu.fit import save
 
     if out:
-        target: Path = Path(out)
-        save(results, target)
-        console.print(f"models: {target}")
-    if kalibr_path:
-        text, warnings = kalibr(results)
-        target = Path(kalibr_path)
-        put(target, text)
-        for warning in warnings:
-            console.print(f"[yellow]beware[/yellow]: {warning}", highlight=False)
-        console.print(f"imu.yaml: {target}")
+        save(results, out)
+        console.print(f"models: {out}")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from insemu.cli.counts import WORKERS
+from insemu.cli.options import argument, option
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,47 +18,32 @@ if TYPE_CHECKING:
 
 
 def command(
-    scenario: str = typer.Argument(
-        ..., metavar="SCENARIO", help="What is believed: a scenario, a belief file or a noise-model file (YAML)."
+    model: str = argument("MODEL"),
+    recording: str = argument("RECORDING", "What was measured: a log at rest, or a drive or flight with fixes."),
+    out: str = option("--output", "", "Folder for the page, gap.json and refined.yaml; default results/gap_NAME."),
+    figure: str = option(
+        "--figure", "", "Also draw the page's pictures: PNG and SVG files that begin so, such as results/gap_drive."
     ),
-    measured: str = typer.Option(
-        ..., "--measured", metavar="RECORDING", help="What was measured: a static log, or a drive or flight with fixes."
+    as_json: bool = option("--json", False),
+    rate: str = option("--rate", ""),
+    without: list[str] | None = option("--without", None),
+    seed: int = option("--seed", 1, "Seed of the simulated nominal data."),
+    apply: str = option(
+        "--apply", "", "Findings that go into refined.yaml, by number, for example '1,3'; default: all of them."
     ),
-    out: str = typer.Option(
-        "", "--out", help="Folder for the page, gap.json and refined.yaml; default results/gap_NAME."
-    ),
-    pictures: str = typer.Option(
-        "",
-        "--pictures",
-        help="Also write the page's pictures as PNG files with this beginning, for example results/gallery/gap_drive.",
-    ),
-    as_json: bool = typer.Option(False, "--json", help="Print the report as JSON on standard output."),
-    rate: str = typer.Option("", "--rate", help="Sampling rate of a log that does not say it, for example '100 Hz'."),
-    without: list[str] | None = typer.Option(  # noqa: B008
-        None, "--without", help="Effect to take out of the catalogue; may be repeated."
-    ),
-    seed: int = typer.Option(1, "--seed", min=0, help="Seed of the simulated nominal data."),
-    apply: str = typer.Option(
-        "", "--apply", help="Findings that go into refined.yaml, by number, for example '1,3'; default: all of them."
-    ),
-    following: str = typer.Option(
-        "",
+    following: str = option(
         "--next",
-        metavar="OUT.yaml",
-        help="Design the manoeuvre that would tell the members of the most costly class apart; writes a scenario and its waypoints.",
+        "",
+        "Design the manoeuvre that would tell the members of the most costly class apart; writes a scenario and its waypoints.",
     ),
-    vehicle: str = typer.Option(
-        "car", "--vehicle", help="What there is to drive or fly it with: car, multirotor, helicopter, fixed_wing."
+    vehicle: str = option(
+        "--vehicle", "car", "What there is to drive or fly it with: car, multirotor, helicopter, fixed_wing."
     ),
-    hold_out: bool = typer.Option(
-        True, "--hold-out/--no-hold-out", help="Score on data that was not used for naming (twice the work)."
-    ),
-    workers: int | None = typer.Option(
-        None,
+    hold_out: bool = option("--hold-out", True),
+    workers: int | None = option(
         "--workers",
-        min=1,
-        max=WORKERS,
-        help="Processes; a second one scores a drive or flight on held-out fixes. Default the number of cores.",
+        None,
+        "Processes; a second one scores a drive or flight on held-out fixes. Default the number of cores.",
     ),
 ) -> None:
     """Find where a recording and a model disagree, name the missing effect, add it and show the gap shrink."""
@@ -91,15 +76,15 @@ def command(
     except ValueError:
         raise InputError(f"'{apply}' is no list of numbers, expected for example '1,3'", where="--apply") from None
     console = Console(stderr=as_json)
-    announce(measured, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
-    nominal = load_nominal(scenario)
-    data = load_measured(measured, rate_hz=units.parse(rate, "Hz") if rate else None)
+    announce(recording, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
+    nominal = load_nominal(model)
+    data = load_measured(recording, rate_hz=units.parse(rate, "Hz") if rate else None)
     if "recording" not in nominal.raw:  # a scenario of a recording tells times by the recording's clock
         data = from_its_start(data)
     other = sorted({aid.kind for aid in getattr(data, "aids", ()) if not is_looked_at(aid.kind)})
     if other:
         Console(stderr=True).print(
-            f"{measured}: {', '.join(other)} not looked at: only IMU, fixes, odometer, barometer and heading are",
+            f"{recording}: {', '.join(other)} not looked at: only IMU, fixes, odometer, barometer and heading are",
             highlight=False,
             markup=False,
         )
@@ -113,7 +98,7 @@ def command(
             progress=say,
             pool=pool,
         )
-    folder = Path(out) if out else Path("results") / f"gap_{Path(measured).stem}"
+    folder = Path(out) if out else Path("results") / f"gap_{Path(recording).stem}"
     chosen = applied(report, numbers) if numbers else report
     refined = write_refined(nominal, chosen, folder / "refined.yaml", data)
     text = json.dumps(report.to_json(), indent=1, allow_nan=False)
@@ -121,8 +106,8 @@ def command(
     from insemu.report import draw_gap, render_gap
 
     page = render_gap(report, folder, refined.read_text(encoding="utf-8"))
-    if pictures:
-        draw_gap(report, Path(pictures).parent, Path(pictures).name)
+    if figure:
+        draw_gap(report, Path(figure).parent, Path(figure).name)
     if as_json:
         typer.echo(text)
     else:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from insemu.cli.counts import DRAWS, WORKERS
+from insemu.cli.options import DRAWS, argument, option
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -15,19 +15,15 @@ if TYPE_CHECKING:
 
 
 def command(
-    model: str = typer.Argument(
-        ..., metavar="MODEL", help="The model to be checked, for example refined.yaml of 'insemu gap'."
-    ),
-    measured: str = typer.Option(..., "--measured", metavar="RECORDING", help="The drive or flight with fixes."),
-    before: str = typer.Option("", "--before", metavar="MODEL", help="The nominal model, checked beside it."),
-    recordings: int = typer.Option(200, "--recordings", min=20, max=DRAWS, help="Recordings emulated from each model."),
-    search: bool = typer.Option(
-        True, "--search/--no-search", help="Also look for what the model lacks, as 'insemu gap' does."
-    ),
-    workers: int = typer.Option(1, "--workers", min=1, max=WORKERS, help="Processes."),
-    seed: int = typer.Option(1, "--seed", min=0, help="Seed of the emulated recordings."),
-    out: str = typer.Option("", "--out", help="Folder for the page and check.json; default results/check_NAME."),
-    as_json: bool = typer.Option(False, "--json", help="Print the result as JSON on standard output."),
+    model: str = argument("MODEL", "The model to be checked, for example refined.yaml of 'insemu gap'."),
+    recording: str = argument("RECORDING"),
+    before: str = option("--before", ""),
+    recordings: int = option("--recordings", 200, "Recordings emulated from each model.", min=20, max=DRAWS),
+    search: bool = option("--search", True),
+    workers: int = option("--workers", 1, "Processes."),
+    seed: int = option("--seed", 1, "Seed of the emulated recordings."),
+    out: str = option("--output", "", "Folder for the page and check.json; default results/check_NAME."),
+    as_json: bool = option("--json", False),
 ) -> None:
     """Emulate recordings from a model along a measured drive, and say where the measured one stands among them.
 
@@ -49,15 +45,15 @@ def command(
     from insemu.whole import put
 
     console = Console(stderr=as_json)
-    announce(measured, Console(stderr=True))
+    announce(recording, Console(stderr=True))
     models = {"before": load_nominal(before)} if before else {}
     models["after"] = load_nominal(model)
-    data = load_measured(measured)
+    data = load_measured(recording)
     if "recording" not in models["after"].raw:  # a scenario of a recording tells times by the recording's clock
         data = from_its_start(data)
     if not isinstance(data, Recording):
-        raise InputError("is a log at rest, expected a drive or flight with fixes", where=measured)
-    folder = Path(out) if out else Path("results") / f"check_{Path(measured).stem}"
+        raise InputError("is a log at rest, expected a drive or flight with fixes", where=recording)
+    folder = Path(out) if out else Path("results") / f"check_{Path(recording).stem}"
     finished = kept(folder / "recordings.jsonl")
     with staged(Console(stderr=True), (recordings + 1) * len(models) + (STAGES if search else 0)) as say:
         checks = {

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from insemu.cli.counts import DRAWS, WORKERS
+from insemu.cli.options import DRAWS, option
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,37 +18,26 @@ if TYPE_CHECKING:
 
 
 def command(
-    recordings: int = typer.Option(
-        58, "--recordings", min=1, max=DRAWS, help="Number of recordings; effects take turns."
-    ),
-    kind: str = typer.Option(
-        "both", "--kind", help="dynamic (drives and flights), static (logs at rest) or both in turns."
-    ),
-    effects: list[str] | None = typer.Option(  # noqa: B008
-        None, "--effect", help="Effect to hide ('none' too); may be repeated. Default: every one."
-    ),
-    hidden: int = typer.Option(1, "--hidden", min=0, max=3, help="Effects hidden at once; 0: nothing is missing."),
-    outside: bool = typer.Option(False, "--outside", help="Hide something that no catalogue holds instead."),
-    hours: float = typer.Option(1.0, "--hours", min=0.2, max=8.0, help="Length of each log at rest, h."),
-    minutes: float = typer.Option(10.0, "--minutes", min=3.0, max=60.0, help="Length of each drive or flight, min."),
-    seed: int = typer.Option(1, "--seed", min=0, help="Seed of the whole trial."),
-    workers: int = typer.Option(1, "--workers", min=1, max=WORKERS, help="Recordings looked at a time."),
-    cluster: str = typer.Option(
-        "", "--cluster", help="Look at recordings on a Dask cluster: local, or tcp://HOST:PORT."
-    ),
-    hold_out: bool = typer.Option(
-        True, "--hold-out/--no-hold-out", help="Also score on held-out data (half as much time again)."
-    ),
-    log: str = typer.Option(
-        "", "--log", metavar="FILE", help="Add every recording to this file; what it holds is not done again."
-    ),
-    as_json: bool = typer.Option(False, "--json", help="Print scores and every recording as JSON."),
+    recordings: int = option("--recordings", 58, "Number of recordings; effects take turns.", min=1, max=DRAWS),
+    kind: str = option("--kind", "both"),
+    effects: list[str] | None = option("--effect", None),
+    hidden: int = option("--hidden", 1, min=0, max=3),
+    outside: bool = option("--outside", False),
+    log_length: str = option("--log-length", "1 h", "Length of each log at rest, 12 min to 8 h."),
+    drive_length: str = option("--drive-length", "10 min", "Length of each drive or flight, 3 min to 1 h."),
+    seed: int = option("--seed", 1, "Seed of the whole trial."),
+    workers: int = option("--workers", 1, "Recordings looked at a time."),
+    cluster: str = option("--cluster", ""),
+    hold_out: bool = option("--hold-out", True, "Also score on held-out data (half as much time again)."),
+    out: str = option("--output", "", "Add every recording to this file; what it holds is not done again."),
+    as_json: bool = option("--json", False),
 ) -> None:
     """Blind trial: effect, axis, strength, track, sensor and wrong levels are drawn, hidden by the emulator and looked for."""
     from pathlib import Path
 
     from rich.console import Console
 
+    from insemu import units
     from insemu.cli.printing import bars
     from insemu.cluster import cluster as dask_cluster
     from insemu.errors import InputError, nearest
@@ -62,6 +51,13 @@ def command(
     if kind not in choices:
         raise InputError(f"found '{kind}', expected dynamic, static or both" + nearest(kind, choices), where="--kind")
     kinds = choices[kind]
+    hours, minutes = units.parse(log_length, "s") / 3600.0, units.parse(drive_length, "s") / 60.0
+    for said, value, low, high, where in (
+        (log_length, hours, 0.2, 8.0, "--log-length"),
+        (drive_length, minutes, 3.0, 60.0, "--drive-length"),
+    ):
+        if not low <= value <= high:
+            raise InputError(f"is {said}, expected {low:g} to {high:g} {'h' if high < 10 else 'min'}", where=where)
     chosen = known_effects(effects or [], kinds)
     kinds = tuple(k for k in kinds if not chosen or any(e in catalogue_of(k) for e in chosen))
     plan = Plan(kinds, chosen, hidden, outside, recordings, seed, hours, minutes, hold_out)
@@ -77,12 +73,12 @@ def command(
         interrupted = False
         try:
             with dask_cluster(cluster, workers) as pool:
-                whole = run_trial(plan, workers=workers, pool=pool, done=done, log=Path(log) if log else None)
+                whole = run_trial(plan, workers=workers, pool=pool, done=done, log=Path(out) if out else None)
             finished[:] = whole  # in the order of the plan, whoever finished first
         except KeyboardInterrupt:
             interrupted = True
     if interrupted:
-        kept = f"; the same command goes on from {log}" if log else ""
+        kept = f"; the same command goes on from {out}" if out else ""
         Console(stderr=True).print(f"Interrupted after {len(finished)} of {recordings} recordings{kept}.")
     if finished:
         _show(finished, as_json, console)

@@ -4,27 +4,19 @@ from __future__ import annotations
 
 import typer
 
+from insemu.cli.options import argument, option
+
 
 def command(
-    file: str = typer.Argument(
-        "", metavar="[FILE]", help="Scenario to write; default scenario.yaml, or NAME.yaml with --like."
-    ),
-    sensor: str = typer.Option(
-        "", "--sensor", help="Sensor of the truth: a name (insemu sensor) or the file of a card."
-    ),
-    model: str = typer.Option(
-        "", "--model", help="Noise models of the truth in place of a card: the file of `insemu fit -o`."
-    ),
-    track: str = typer.Option(
-        "", "--track", help="Own motion: a track (recording, GPX, CSV with times) or waypoints (CSV, GeoJSON)."
-    ),
-    vehicle: str = typer.Option("car", "--vehicle", help="car, multirotor, helicopter or fixed_wing, for --track."),
-    like: str = typer.Option(
-        "", "--like", help="Copy this scenario that comes with insemu, with the files that it needs."
-    ),
-    listed: bool = typer.Option(False, "--list", help="List the scenarios that come with insemu with their questions."),
-    force: bool = typer.Option(False, "--force", help="Replace files that exist."),
-    as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output instead of text."),
+    file: str = argument("[FILE]", "Scenario to write; default scenario.yaml, or NAME.yaml with --like.", default=""),
+    sensor: str = option("--sensor", "", "Sensor of the truth: a name (insemu sensor) or the file of a card."),
+    models: str = option("--models", "", "Noise models of the truth in place of a card: the file of `insemu fit -o`."),
+    track: str = option("--track", ""),
+    vehicle: str = option("--vehicle", "car", "car, multirotor, helicopter or fixed_wing, for --track."),
+    like: str = option("--like", ""),
+    listed: bool = option("--list", False),
+    force: bool = option("--force", False),
+    as_json: bool = option("--json", False),
 ) -> None:
     """Write a commented scenario that runs, or copy one that comes with insemu."""
     import json
@@ -44,17 +36,17 @@ def command(
     if like:
         from insemu.scenario import copy_shipped
 
-        if sensor or model or track:
-            raise InputError("--like copies a scenario as it is; expected it without --sensor, --model and --track")
+        if sensor or models or track:
+            raise InputError("--like copies a scenario as it is; expected it without --sensor, --models and --track")
         written = copy_shipped(like, target, overwrite=force)
     else:
         from insemu.scenario import SENSOR, Wish, first_scenario
 
         if target.exists() and not force:
             raise InputError("exists already; --force replaces it", where=str(target))
-        if sensor and model:
-            raise InputError("names a card and models of the truth, expected one of them", where="--sensor, --model")
-        text = first_scenario(target, Wish(sensor or SENSOR, model, track, vehicle))
+        if sensor and models:
+            raise InputError("names a card and models of the truth, expected one of them", where="--sensor, --models")
+        text = first_scenario(target, Wish(sensor or SENSOR, models, track, vehicle))
         put(target, text)
         written = [target]
     if as_json:

@@ -36,7 +36,7 @@ def preview(experiment: Experiment, realizations: int, folder: Path, console: Co
     if not experiment.world.outage_windows:
         raise InputError("the scenario has no outage at whose end errors could be told", where="--linear")
     if (folder / MARKER).exists():
-        raise InputError("holds the results of flights; expected another folder (--out)", where=str(folder))
+        raise InputError("holds the results of flights; expected another folder (--output)", where=str(folder))
     twin = LinearTwin(experiment)
     found = previewed(twin, realizations)
     rows: list[dict[str, Any]] = []

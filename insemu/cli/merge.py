@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import typer
+from insemu.cli.options import argument, option
 
 
 def command(
-    folder: str = typer.Argument(..., metavar="FOLDER", help="Folder that insemu run --shard wrote to."),
-    scenario: str = typer.Option(
-        "", "--scenario", help="Scenario file, where it lies elsewhere than the shards saw it."
-    ),
-    as_json: bool = typer.Option(False, "--json", help="Print summary.json on standard output instead of report."),
-    overwrite: bool = typer.Option(
-        False, "--overwrite", help="Replace results of the same scenario with more realizations."
-    ),
+    folder: str = argument("FOLDER", "Folder that insemu run --shard wrote to."),
+    scenario: str = option("--scenario", "", "Scenario file, where it lies elsewhere than the shards saw it."),
+    as_json: bool = option("--json", False),
+    overwrite: bool = option("--overwrite", False),
 ) -> None:
     """Make the results of all shards of a run: the same files, to the bit, as those of the run in one piece.
 

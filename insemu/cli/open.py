@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from insemu.cli.options import argument, option
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -16,25 +18,21 @@ if TYPE_CHECKING:
 
 
 def command(
-    file: str = typer.Argument(
-        "",
-        metavar="FILE",
-        help="Any log, recording, bag, track or folder; the one with the IMU where there are several.",
+    file: str = argument(
+        "FILE", "Any log, recording, bag, track or folder; the one with the IMU where there are several.", default=""
     ),
-    gnss: str = typer.Option("", "--gnss", help="File with the fixes, where they are apart."),
-    truth: str = typer.Option("", "--truth", help="File with the reference, where it is apart."),
-    column_map: str = typer.Option(
-        "", "--map", help="Columns and settings: 'gyro=omega_*[deg/s], accel=a_*[g], time=stamp[ns], axes=FLU'."
+    gnss: str = option("--gnss", ""),
+    truth: str = option("--truth", ""),
+    column_map: str = option(
+        "--map", "", "Columns and settings: 'gyro=omega_*[deg/s], accel=a_*[g], time=stamp[ns], axes=FLU'."
     ),
-    gnss_map: str = typer.Option("", "--gnss-map", help="The same for the file of --gnss."),
-    truth_map: str = typer.Option("", "--truth-map", help="The same for the file of --truth."),
-    rate: str = typer.Option("", "--rate", help="Sampling rate of a file without stamps, such as '100 Hz'."),
-    out: str = typer.Option("", "--out", "-o", help="Write what was found: .npz, .csv, or a folder."),
-    save_map: bool = typer.Option(
-        False, "--save-map", help="Write the map beside the file; every command uses it from then on."
-    ),
-    as_json: bool = typer.Option(False, "--json", help="Print the card as JSON on standard output."),
-    formats: bool = typer.Option(False, "--formats", help="List the kinds of file that are read, and end."),
+    gnss_map: str = option("--gnss-map", ""),
+    truth_map: str = option("--truth-map", ""),
+    rate: str = option("--rate", "", "Sampling rate of a file without stamps, such as '100 Hz'."),
+    out: str = option("--output", "", "Write what was found: .npz, .csv, or a folder."),
+    save_map: bool = option("--save-map", False),
+    as_json: bool = option("--json", False),
+    formats: bool = option("--formats", False),
 ) -> None:
     """Say what a file is: rate, gaps, units, axes, clocks, each with its evidence; write it as a recording or a log.
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from insemu.cli.counts import DRAWS, WORKERS
+from insemu.cli.options import DRAWS, argument, option
 from insemu.shown import count_of
 
 if TYPE_CHECKING:
@@ -18,26 +18,18 @@ ACTIONS = ("record", "check", "sensitivity", "trial")
 
 
 def command(
-    action: str = typer.Argument(..., metavar="ACTION", help="record, check, sensitivity or trial."),
-    scenario: str = typer.Argument(..., metavar="SCENARIO", help="Scenario file (YAML)."),
-    baseline: str = typer.Option(..., "--baseline", help="Baseline file (JSON), written by record."),
-    designs: str = typer.Option(
-        "", "--designs", help="Only these designs (the scenario's, or those of insemu designs), separated by commas."
-    ),
-    realizations: int | None = typer.Option(None, "--realizations", min=2, max=DRAWS, help="Default the scenario's."),
-    seed: int | None = typer.Option(None, "--seed", min=0, help="Default the scenario's."),
-    workers: int | None = typer.Option(
-        None, "--workers", min=1, max=WORKERS, help="Realizations flown at a time; default the cores."
-    ),
-    cluster: str = typer.Option(
-        "", "--cluster", help="record and check: fly on a Dask cluster: local, or tcp://HOST:PORT."
-    ),
-    false_alarm: float = typer.Option(
-        0.01, "--false-alarm", help="Probability of reporting designs that did not change."
-    ),
-    trials: int = typer.Option(50, "--trials", min=1, max=DRAWS, help="Trials of each case (trial)."),
-    out: str = typer.Option("", "--out", help="Write a page with what changed (check; HTML)."),
-    as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output."),
+    action: str = argument("ACTION"),
+    scenario: str = argument("SCENARIO"),
+    baseline: str = option("--baseline", ...),
+    designs: str = option("--designs", ""),
+    realizations: int | None = option("--realizations", None),
+    seed: int | None = option("--seed", None),
+    workers: int | None = option("--workers", None),
+    cluster: str = option("--cluster", "", "record and check: fly on a Dask cluster: local, or tcp://HOST:PORT."),
+    false_alarm: float = option("--false-alarm", 0.01, "Probability of reporting designs that did not change."),
+    trials: int = option("--trials", 50, min=1, max=DRAWS),
+    out: str = option("--page", "", "Write a page with what changed (check, HTML)."),
+    as_json: bool = option("--json", False),
 ) -> None:
     """Record the accuracy and consistency of a scenario's designs, or check them against a record.
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import typer
 
-from insemu.cli.counts import WORKERS
+from insemu.cli.options import argument, option
 
 
 def command(
-    folder: str = typer.Argument(..., metavar="DIR", help="Folder of a result of insemu run."),
-    workers: int | None = typer.Option(
-        None, "--workers", min=1, max=WORKERS, help="Realizations flown at a time; default the cores."
-    ),
-    as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output."),
+    folder: str = argument("FOLDER", "Folder of a result of insemu run."),
+    workers: int | None = option("--workers", None),
+    as_json: bool = option("--json", False),
 ) -> None:
     """Run the scenario of a result again and compare every number; nothing is written.
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from insemu.cli.counts import DRAWS, LINEAR, WORKERS
+from insemu.cli.options import LINEAR, argument, option
 from insemu.shown import count_of
 
 if TYPE_CHECKING:
@@ -26,56 +26,29 @@ MOST_BUDGETS = 100
 
 
 def command(
-    scenario: str = typer.Argument(..., metavar="SCENARIO", help="Scenario file (YAML)."),
-    realizations: int | None = typer.Option(
-        None, "--realizations", min=1, max=DRAWS, help="Number of realizations; default the scenario's."
+    scenario: str = argument("SCENARIO"),
+    realizations: int | None = option("--realizations", None, min=1),
+    seed: int | None = option("--seed", None),
+    workers: int | None = option("--workers", None),
+    until: str = option("--until", ""),
+    linear: int = option(
+        "--linear", 0, "Fly nothing: a preview from so many realizations to first order, for example 10000."
     ),
-    seed: int | None = typer.Option(None, "--seed", min=0, help="Seed of all random draws; default the scenario's."),
-    workers: int | None = typer.Option(
-        None, "--workers", min=1, max=WORKERS, help="Realizations flown at a time; default the number of cores."
+    control: int = option("--control", 0, min=0, max=LINEAR),
+    out: str = option(
+        "--output", "", "Folder for results; default results/NAME beside the current folder, NAME-linear with --linear."
     ),
-    until: str = typer.Option(
-        "",
-        "--until",
-        metavar="GOAL",
-        help="Fly on until 'planimetric_end ratio DESIGN/DESIGN within 5 %' or '... mean DESIGN ...'.",
+    cluster: str = option("--cluster", ""),
+    gpu: bool = option("--gpu", False),
+    shard: str = option(
+        "--shard", "", "Fly only a part, for example 3/40, and keep it in the folder; insemu merge makes the results."
     ),
-    linear: int = typer.Option(
-        0,
-        "--linear",
-        min=0,
-        max=LINEAR,
-        help="Fly nothing: a preview from so many realizations to first order, for example 10000.",
+    as_json: bool = option("--json", False),
+    variants: bool = option("--variants", False),
+    pictures: bool = option(
+        "--pictures", True, "Write the page's charts as PNG and SVG, too (without: older ones go)."
     ),
-    control: int = typer.Option(
-        0,
-        "--control",
-        min=0,
-        max=LINEAR,
-        help="Help means and quantiles with so many linear realizations, for example 10000.",
-    ),
-    out: str = typer.Option(
-        "",
-        "--out",
-        help="Folder for results; default results/NAME beside the current folder, NAME-linear with --linear.",
-    ),
-    cluster: str = typer.Option("", "--cluster", help="Fly on a Dask cluster: local, or tcp://HOST:PORT."),
-    gpu: bool = typer.Option(
-        False, "--gpu", help="Fly on this machine's GPU (pip install 'insemu[gpu]'), many realizations at a time."
-    ),
-    shard: str = typer.Option(
-        "",
-        "--shard",
-        help="Fly only a part, for example 3/40, and keep it in the folder; insemu merge makes the results.",
-    ),
-    as_json: bool = typer.Option(False, "--json", help="Print summary.json on standard output instead of report."),
-    variants: bool = typer.Option(False, "--variants/--no-variants", help="Also run the scenario's variants."),
-    pictures: bool = typer.Option(
-        True, "--pictures/--no-pictures", help="Write the page's charts as PNG and SVG, too (without: older ones go)."
-    ),
-    overwrite: bool = typer.Option(
-        False, "--overwrite", help="Replace results of the same scenario with more realizations."
-    ),
+    overwrite: bool = option("--overwrite", False),
 ) -> None:
     """Run a scenario: emulate, inject errors, cut GNSS, filter with every design, and compare.
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import typer
 
+from insemu.cli.options import option
 
-def command(out: str = typer.Option("", "--out", help="Write to this file instead of the terminal.")) -> None:
+
+def command(out: str = option("--output", "", "Write to this file instead of the terminal.")) -> None:
     """Print the JSON schema of scenario files (point your editor's YAML support at it)."""
     import json
 

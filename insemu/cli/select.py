@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from insemu.cli.counts import DRAWS, WORKERS
+from insemu.cli.options import DRAWS, argument, option
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -18,38 +18,24 @@ if TYPE_CHECKING:
 
 
 def command(
-    file: str = typer.Argument(..., metavar="FILE", help="Static log: .npz, .csv or .npy (columns with units)."),
-    general: str = typer.Option(
-        "4*GM() + WN() + RW() + QN()", "--general", "-g", help="Everything nested in this model is tried."
+    file: str = argument("LOG"),
+    general: str = option("--general", "4*GM() + WN() + RW() + QN()"),
+    candidates: list[str] | None = option("--candidate", None),
+    robust: bool = option("--robust", False),
+    columns: list[str] | None = option("--columns", None),
+    held_out: list[str] | None = option(
+        "--held-out", None, "Another log of the same sensor: how well the choice predicts it, scale by scale."
     ),
-    candidates: list[str] | None = typer.Option(  # noqa: B008
-        None, "--candidate", help="Rank these models instead; may be repeated."
-    ),
-    robust: bool = typer.Option(False, "--robust", help="Use the wavelet variance that outliers cannot move."),
-    columns: list[str] | None = typer.Option(  # noqa: B008
-        None,
-        "--columns",
-        "--column",
-        "-c",
-        help="Only these columns, separated by commas (gx or gyro_x); may be repeated.",
-    ),
-    held_out: list[str] | None = typer.Option(  # noqa: B008
-        None, "--held-out", help="Another log of the same sensor: how well the choice predicts it, scale by scale."
-    ),
-    rate: str = typer.Option("", "--rate", help='Sampling rate of a log that does not say it, for example "100 Hz".'),
-    skip: str = typer.Option(
-        "0 s", "--skip", help='Leave out the start of every record, for example "40 min" of warm-up.'
-    ),
-    detail: bool = typer.Option(False, "--detail", help="Print candidates and parameters of every axis, too."),
-    rows: int = typer.Option(8, "--rows", min=1, max=DRAWS, help="Candidates to list per axis (--detail)."),
-    workers: int | None = typer.Option(
-        None, "--workers", min=1, max=WORKERS, help="Work items at a time; default the number of cores."
-    ),
-    cluster: str = typer.Option("", "--cluster", help="Fit candidates on a Dask cluster: local, or tcp://HOST:PORT."),
-    seed: int = typer.Option(0, "--seed", min=0, help="Seed of the draws on the page."),
-    out: str = typer.Option("", "--out", "-o", help="Write the chosen models as YAML that a scenario reads."),
-    page: str = typer.Option("", "--page", help="Write a page with figures (HTML)."),
-    as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output instead of tables."),
+    rate: str = option("--rate", ""),
+    skip: str = option("--skip", "0 s"),
+    detail: bool = option("--detail", False),
+    rows: int = option("--rows", 8, min=1, max=DRAWS),
+    workers: int | None = option("--workers", None),
+    cluster: str = option("--cluster", ""),
+    seed: int = option("--seed", 0, "Seed of the draws on the page."),
+    out: str = option("--output", "", "Write the chosen models as YAML that a scenario reads."),
+    page: str = option("--page", ""),
+    as_json: bool = option("--json", False),
 ) -> None:
     """Choose a noise model for every axis among all models nested in a general one."""
     import json
@@ -60,7 +46,8 @@ def command(
 
     from insemu import units
     from insemu.cli.announce import announce
-    from insemu.cli.fit import read_static, write
+    from insemu.cli.fit import write
+    from insemu.cli.logs import read_static
     from insemu.cli.printing import counting
     from insemu.cluster import cluster as dask_cluster
     from insemu.fit import select_axes
@@ -101,7 +88,7 @@ def command(
                 show(console, ranking, rows)
             for other, found in checks[axis].items():
                 show_prediction(console, axis, other, found)
-    write(results, out, "", console)
+    write(results, out, console)
     if page:
         from insemu.report import render_fits
 

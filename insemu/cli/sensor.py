@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from insemu.cli.options import argument, option
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
@@ -14,25 +16,21 @@ if TYPE_CHECKING:
 
 
 def command(
-    name: str = typer.Argument(
-        "",
-        metavar="[NAME|FILE|TEXT]",
-        help='Sensor, file (card or text), or figures such as "ARW 0.34 deg/sqrt(h), in-run bias stability 8 deg/h".',
+    name: str = argument(
+        "[NAME|FILE|TEXT]",
+        'Sensor, file (card or text), or figures such as "ARW 0.34 deg/sqrt(h), in-run bias stability 8 deg/h".',
+        default="",
     ),
-    out: str = typer.Option("", "--out", "-o", help="Write the models as YAML that a scenario reads."),
-    case: str = typer.Option("typical", "--case", help="What to write: typical or worst."),
-    worst_factor: float = typer.Option(
-        2.0, "--worst-factor", min=1.0, help="Worst case of a figure without a printed limit, times the typical figure."
-    ),
-    band: tuple[str, str] = typer.Option(
-        ("1 s", "1000 s"), "--band", help="Averaging times over which a filter's states stand for flicker."
-    ),
-    as_json: bool = typer.Option(False, "--json", help="Print JSON on standard output instead of tables."),
+    out: str = option("--output", "", "Write the models as YAML that a scenario reads."),
+    case: str = option("--case", "typical", "What to write: typical or worst."),
+    worst_factor: float = option("--worst-factor", 2.0, min=1.0),
+    band: tuple[str, str] = option("--band", ("1 s", "1000 s")),
+    as_json: bool = option("--json", False),
 ) -> None:
     """Show sensor cards, and write noise models for truth and belief from a datasheet's figures.
 
     Without an argument it lists the sensors that come with insemu. A scenario takes a sensor by name (truth: {sensor: ADIS16470}) or the file
-    that --out writes.
+    that --output writes.
     """
     import json
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import typer
 
+from insemu.cli.options import argument, option
+
 
 def command(
-    folder: str = typer.Argument("results", metavar="FOLDER", help="Folder of results."),
-    port: int = typer.Option(8000, "--port", min=0, max=65535, help="Port on this computer; 0 takes any that is free."),
-    browse: bool = typer.Option(True, "--browser/--no-browser", help="Open the list in a browser."),
+    folder: str = argument("FOLDER", default="results"),
+    port: int = option("--port", 8000, min=0, max=65535),
+    browse: bool = option("--browser", True),
 ) -> None:
     """Show all runs of a folder in a browser, any two of them side by side.
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from insemu.cli.counts import WORKERS
+from insemu.cli.options import argument, option
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -15,26 +15,18 @@ if TYPE_CHECKING:
 
 
 def command(
-    file: str = typer.Argument(
-        ..., metavar="RECORDING", help="Any recording; the file with the IMU where there are several."
-    ),
-    gnss: str = typer.Option("", "--gnss", help="File with the fixes, where they are apart."),
-    column_map: str = typer.Option("", "--map", help="Columns and settings, as of `insemu open`."),
-    gnss_map: str = typer.Option("", "--gnss-map", help="The same for the file of --gnss."),
-    sensor: str = typer.Option("", "--sensor", help="Try this sensor card too (insemu sensor), or a card's file."),
-    model: str = typer.Option("", "--model", help="Try these models too (YAML of insemu fit -o or insemu sensor -o)."),
-    design: list[str] | None = typer.Option(  # noqa: B008
-        None, "--design", help="Try this design too (insemu designs); may be repeated."
-    ),
-    lever_arm: str = typer.Option(
-        "",
-        "--lever-arm",
-        help="IMU to antenna in the axes of the recording, 'X Y Z m'; estimated where it is not given.",
-    ),
-    against: str = typer.Option("", "--against", help="Score the designs of this scenario by the same outages."),
-    out: str = typer.Option("", "--out", "-o", help="Folder for the results; default results/solve_NAME."),
-    workers: int = typer.Option(0, "--workers", min=0, max=WORKERS, help="Threads; 0: one per core."),
-    as_json: bool = typer.Option(False, "--json", help="Print summary.json on standard output."),
+    file: str = argument("RECORDING", "Any recording; the file with the IMU where there are several."),
+    gnss: str = option("--gnss", ""),
+    column_map: str = option("--map", ""),
+    gnss_map: str = option("--gnss-map", ""),
+    sensor: str = option("--sensor", "", "Try this sensor card too (insemu sensor), or a card's file."),
+    models: str = option("--models", "", "Try these models too (YAML of insemu fit -o or insemu sensor -o)."),
+    designs: str = option("--designs", "", "Try these designs too, separated by commas (insemu designs)."),
+    lever_arm: str = option("--lever-arm", ""),
+    against: str = option("--against", ""),
+    out: str = option("--output", "", "Folder for the results; default results/solve_NAME."),
+    workers: int | None = option("--workers", None),
+    as_json: bool = option("--json", False),
 ) -> None:
     """Solve a recording: trajectory with standard deviations, calibration, and what 10, 30 and 60 s without GNSS cost.
 
@@ -57,7 +49,9 @@ def command(
 
     console, told = Console(stderr=as_json, highlight=False), Console(stderr=True)
     arm = _lever_arm(lever_arm)
-    beliefs = candidates(design or (), sensor, model, lever_arm_known=arm is not None)
+    beliefs = candidates(
+        [d.strip() for d in designs.split(",") if d.strip()], sensor, models, lever_arm_known=arm is not None
+    )
     found = formats.open_files(file, gnss=gnss or None, maps=(column_map, gnss_map, ""))
     card = intake.examine(found)
     show_brief(card, console)

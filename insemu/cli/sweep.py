@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from insemu.cli.counts import DRAWS, LINEAR, WORKERS
+from insemu.cli.options import argument, option
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,32 +16,21 @@ if TYPE_CHECKING:
 
 
 def command(
-    scenario: str = typer.Argument(..., metavar="SCENARIO", help="Scenario file (YAML)."),
-    over: str = typer.Option(
-        ...,
-        "--over",
-        metavar="KEY=[VALUE, ...],...",
-        help="Keys and what they take: sensor=[ADIS16470, BMI088],outage=[30 s, 60 s].",
-    ),
-    latin: int = typer.Option(
-        0,
+    scenario: str = argument("SCENARIO"),
+    over: str = option("--over", ...),
+    latin: int = option(
         "--latin",
+        0,
+        "So many points of a Latin hypercube instead of all combinations; keys may then have ranges, LOW..HIGH.",
         min=0,
-        help="So many points of a Latin hypercube instead of all combinations; keys may then have ranges, LOW..HIGH.",
     ),
-    linear: int = typer.Option(
-        0, "--linear", min=0, max=LINEAR, help="Fly nothing: so many realizations to first order at each point."
-    ),
-    realizations: int | None = typer.Option(
-        None, "--realizations", min=2, max=DRAWS, help="At each point; default the scenario's."
-    ),
-    seed: int | None = typer.Option(None, "--seed", min=0, help="The same at every point; default the scenario's."),
-    workers: int | None = typer.Option(
-        None, "--workers", min=1, max=WORKERS, help="Realizations flown at a time; default the cores."
-    ),
-    cluster: str = typer.Option("", "--cluster", help="Fly on a Dask cluster: local, or tcp://HOST:PORT."),
-    out: str = typer.Option("", "--out", help="Folder for results; default results/NAME-sweep."),
-    as_json: bool = typer.Option(False, "--json", help="Print sweep.json on standard output instead of the table."),
+    linear: int = option("--linear", 0, "Fly nothing: so many realizations to first order at each point."),
+    realizations: int | None = option("--realizations", None, "At each point; default the scenario's."),
+    seed: int | None = option("--seed", None, "The same at every point; default the scenario's."),
+    workers: int | None = option("--workers", None),
+    cluster: str = option("--cluster", ""),
+    out: str = option("--output", "", "Folder for results; default results/NAME-sweep."),
+    as_json: bool = option("--json", False),
 ) -> None:
     """Run a scenario with other values at some keys: every combination, or a Latin hypercube, as one experiment with one table.
 

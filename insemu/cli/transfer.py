@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from insemu.cli.options import argument, option
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -13,28 +15,21 @@ if TYPE_CHECKING:
 
 
 def command(
-    model: str = typer.Argument(
-        ...,
-        metavar="MODEL",
-        help="Static models: a noise-model file of 'insemu fit', a belief file or a scenario (YAML).",
+    model: str = argument(
+        "MODEL", "Static models: a noise-model file of 'insemu fit', a belief file or a scenario (YAML)."
     ),
-    drive: str = typer.Option(..., "--drive", metavar="RECORDING", help="A drive or flight with fixes."),
-    known: str = typer.Option(
-        "",
+    recording: str = argument("RECORDING"),
+    known: str = option(
         "--known",
-        metavar="FILE",
-        help="What is known of the drive besides: refined.yaml of 'insemu gap', a belief file or a scenario; its effects are taken off first.",
+        "",
+        "What is known of the drive besides: refined.yaml of 'insemu gap', a belief file or a scenario; its effects are taken off first.",
     ),
-    out: str = typer.Option(
-        "", "--out", "-o", help="Write the models with the factors on them to this noise-model file."
-    ),
-    page: str = typer.Option("", "--page", help="Write a page with figures (HTML)."),
-    why: bool = typer.Option(True, "--why/--no-why", help="Look for the reasons (the gap workflow, a few minutes)."),
-    calibrate: bool = typer.Option(
-        False, "--calibrate", help="Tune scale factors and misalignments of the IMU together with the noise."
-    ),
-    seed: int = typer.Option(1, "--seed", min=0, help="Seed of the simulations of the gap workflow."),
-    as_json: bool = typer.Option(False, "--json", help="Print the result as JSON on standard output."),
+    out: str = option("--output", "", "Write the models with the factors on them to this noise-model file."),
+    page: str = option("--page", ""),
+    why: bool = option("--why", True),
+    calibrate: bool = option("--calibrate", False),
+    seed: int = option("--seed", 1, "Seed of the simulations of the gap workflow."),
+    as_json: bool = option("--json", False),
 ) -> None:
     """Carry a static noise model to a drive: factors on its levels, outages as the judge, and the reasons."""
     import json
@@ -51,13 +46,13 @@ def command(
     from insemu.transfer import transfer
 
     console = Console(stderr=as_json)
-    announce(drive, Console(stderr=True))
+    announce(recording, Console(stderr=True))
     nominal, besides = load_nominal(model), load_nominal(known) if known else None
-    data = load_measured(drive)
+    data = load_measured(recording)
     if "recording" not in (besides or nominal).raw:  # a scenario of a recording tells times by the recording's clock
         data = from_its_start(data)
     if not isinstance(data, Recording):
-        raise InputError("is a log at rest, expected a drive or flight with fixes", where=drive)
+        raise InputError("is a log at rest, expected a drive or flight with fixes", where=recording)
     with staged(Console(stderr=True), STAGES if why else 4) as say:
         found = transfer(
             data,
@@ -73,7 +68,7 @@ def command(
     if page:
         from insemu.report import render_transfer
 
-        render_transfer(found, page, drive)
+        render_transfer(found, page, recording)
     if as_json:
         typer.echo(json.dumps(found.to_json(), indent=1))
         return

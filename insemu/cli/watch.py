@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from insemu.cli.counts import DRAWS
+from insemu.cli.options import DRAWS, argument, option
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,23 +20,17 @@ if TYPE_CHECKING:
 
 
 def command(
-    file: str = typer.Argument(
-        ...,
-        metavar="FILE",
-        help="Static log; - reads lines of CSV from standard input as they come (header with units).",
+    file: str = argument(
+        "LOG", "Log at rest; - reads lines of CSV from standard input as they come (header with units)."
     ),
-    model: str = typer.Option(..., "--model", "-m", help='Structure, for example "WN() + GM()".'),
-    window: str = typer.Option("60 s", "--window", help="Length of a window."),
-    false_alarms: float = typer.Option(
-        1e-3, "--false-alarms", help="Probability that a window of an axis alarms wrongly."
-    ),
-    learn: int = typer.Option(10, "--learn", min=1, max=DRAWS, help="Windows before the first comparison."),
-    every: int = typer.Option(10, "--every", min=1, max=DRAWS, help="Windows from one fit to the next."),
-    columns: list[str] | None = typer.Option(  # noqa: B008
-        None, "--columns", "--column", "-c", help="Only these columns, separated by commas (gx or gyro_x)."
-    ),
-    rate: str = typer.Option("", "--rate", help='Sampling rate of a log that does not say it, for example "100 Hz".'),
-    as_json: bool = typer.Option(False, "--json", help="A line of JSON per fit and alarm."),
+    model: str = option("--model", ...),
+    window: str = option("--window", "60 s"),
+    false_alarms: float = option("--false-alarm", 1e-3, "Probability that a window of an axis alarms wrongly."),
+    learn: int = option("--learn", 10, min=1, max=DRAWS),
+    every: int = option("--every", 10, min=1, max=DRAWS),
+    columns: list[str] | None = option("--columns", None),
+    rate: str = option("--rate", ""),
+    as_json: bool = option("--json", False, "A line of JSON per fit and alarm."),
 ) -> None:
     """Watch a signal: the noise model with intervals as it is learnt, and alarms at a stated rate of false ones."""
     from insemu import units

@@ -56,7 +56,7 @@ def only_writer(folder: Path, *, shared: bool = False) -> Iterator[None]:
         # a process that was killed leaves those that it had started, which end by themselves and hold the lock so long
         if not _ended(writer) or time.monotonic() > until:
             raise InputError(
-                f"is being written by {_named(writer)}; wait for it, or choose another folder (--out)",
+                f"is being written by {_named(writer)}; wait for it, or choose another folder (--output)",
                 where=str(folder),
             )
         time.sleep(0.05)
@@ -89,7 +89,7 @@ def _held(path: Path, shared: bool) -> TextIO | None:
     except portalocker.LockException as error:
         handle.close()
         raise InputError(
-            f"is on a file system that cannot lock files ({error}); choose another folder (--out)",
+            f"is on a file system that cannot lock files ({error}); choose another folder (--output)",
             where=str(path.parent),
         ) from None
     handle.close()
@@ -173,7 +173,7 @@ def check_not_fewer(folder: Path, scenario: Scenario) -> None:
     if more:
         raise InputError(
             f"holds {held['realizations']} realizations of this scenario, which {scenario.realizations} would replace; expected another folder "
-            "(--out) or --overwrite",
+            "(--output) or --overwrite",
             where=str(folder),
         )
 

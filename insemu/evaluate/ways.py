@@ -15,7 +15,7 @@ from insemu.formats import Way
 ERRORS = "errors.nc"
 
 
-def ways_of_run(folder: Path, realization: int = 1) -> list[Way]:
+def ways_of_run(folder: Path, realization: int = 0) -> list[Way]:
     """The reference and, behind it, the way of every design in one realization, with the sigma that it states.
 
     Parameters
@@ -23,7 +23,7 @@ def ways_of_run(folder: Path, realization: int = 1) -> list[Way]:
     folder : Path
         That ``insemu run`` wrote.
     realization : int
-        Its number, from 1.
+        Its number, from 0.
 
     Raises
     ------
@@ -34,9 +34,9 @@ def ways_of_run(folder: Path, realization: int = 1) -> list[Way]:
 
     with xr.open_dataset(folder / ERRORS, engine="h5netcdf") as data:
         names = [str(v) for v in data["design"].values]
-        there = [int(r) + 1 for r in data["realization"].values]  # of many realizations some stay with all their epochs
+        there = [int(r) for r in data["realization"].values]  # of many realizations some stay with all their epochs
         if realization not in there:
-            some = f"1 to {len(there)}" if there[-1] == len(there) else f"one of {', '.join(map(str, there))}"
+            some = f"0 to {there[-1]}" if there[-1] + 1 == len(there) else f"one of {', '.join(map(str, there))}"
             raise InputError(f"found {realization}, expected {some}", where="--realization")
         row = there.index(realization)
         t = np.asarray(data["time"].values, dtype=np.float64)

@@ -20,7 +20,7 @@ from insemu.fit.indirect import bootstrap_intervals, check_bootstrap
 from insemu.fit.likelihood import LARGE, fit_mli_pieces
 from insemu.fit.online import Alarm, OnlineFit, Update
 from insemu.fit.regressors import Coefficient, RegressedFit, fit_regressed
-from insemu.fit.result import LEAST_P, Criterion, Estimate, FitResult, GoodnessOfFit, kalibr, save
+from insemu.fit.result import LEAST_P, Criterion, Estimate, FitResult, GoodnessOfFit, save
 from insemu.fit.robust import cleaned_curve
 from insemu.fit.runs import Choice, RunsFit, choose_model, fit_runs
 from insemu.fit.selection import RANK_DOF, Ranking, prediction_distance, select_axes, wic
@@ -74,7 +74,6 @@ __all__ = [
     "fit_runs",
     "fit_together",
     "followed",
-    "kalibr",
     "model_covariance",
     "prediction_distance",
     "save",

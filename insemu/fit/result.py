@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from insemu import units
 from insemu.errors import InputError
-from insemu.formats import spell
 from insemu.noise import NoiseModel, Parameter, Spread, process_label
 from insemu.shown import Shown, p_words
 from insemu.variance import WaveletVariance
@@ -377,46 +376,3 @@ def save(results: Mapping[str, FitResult], path: str | Path, spreads: Mapping[st
             axes[axis]["spread"] = spreads[axis].to_mapping()
     document = {"insemu_noise_models": 1, "axes": axes}
     put(path, yaml.safe_dump(document, sort_keys=False, allow_unicode=True))
-
-
-def kalibr(
-    results: Mapping[str, FitResult], *, rate_hz: float | None = None, topic: str = "/imu0"
-) -> tuple[str, list[str]]:
-    """The fits as a Kalibr / OpenVINS ``imu.yaml``, and warnings about what that format cannot say.
-
-    The format knows one noise density and one random walk per sensor triad; the axes are combined by their root mean square. A GM (or AR1)
-    enters by what it resembles over a second: slower than that by the random walk it is at short times (driving density sigma
-    sqrt(2 beta)), faster by the white noise it is at long times (its PSD at low frequency). A walk that was not found is written as the
-    largest that the record hides (:func:`insemu.formats.programs.reduce_models`), because these programs divide by it.
-
-    Parameters
-    ----------
-    results : mapping of axis to FitResult
-    rate_hz : float, optional
-        Update rate to write; that of the first fit by default.
-    topic : str
-        ROS topic to write.
-
-    Returns
-    -------
-    text, warnings
-
-    Raises
-    ------
-    InputError
-        Neither a gyroscope nor an accelerometer was fitted.
-    """
-    longest = max((r.n_samples * r.dt for r in results.values()), default=0.0)
-    rate = rate_hz if rate_hz is not None else next((r.rate_hz for r in results.values()), 0.0)
-    text, warnings = spell({axis: r.model for axis, r in results.items()}, "kalibr", rate_hz=rate, record_s=longest)
-    for sensor, prefix in (("accelerometer", "accel"), ("gyroscope", "gyro")):
-        if not any(axis.startswith(prefix) for axis in results):
-            warnings.append(f"no {sensor} axis was fitted; its two lines are missing")
-    for axis, r in results.items():
-        beyond = sorted({p.symbol for p in r.model if p.symbol not in ("WN", "RW")})
-        if beyond:
-            warnings.append(
-                f"{axis}: the format holds a noise density and a random walk only; {', '.join(beyond)} of {r.structure} "
-                + ("enters by what it resembles over a second" if beyond == ["GM"] else "cannot be said in full")
-            )
-    return text.replace('"/imu0"', f'"{topic}"'), warnings

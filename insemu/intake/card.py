@@ -67,7 +67,7 @@ class Card:
         """The command that mends a finding."""
         if not line.mend.startswith("--map"):
             return line.mend
-        return f"insemu open {self.source.split(', ')[0]} {line.mend} --out mended.npz"
+        return f"insemu open {self.source.split(', ')[0]} {line.mend} -o mended.npz"
 
     def text(self, levels: Iterable[Level] = ("ok", "assumed", "odd", "wrong")) -> str:
         """The card as lines of text."""

@@ -105,7 +105,7 @@ class Common(Parametrised):
         if self.follows is not None:
             raise InputError(
                 f"{self} follows {self.follows.covariate}; it is fitted to segments of a log with that covariate "
-                "(insemu fit --covariate, insemu.fit.fit_following)"
+                "(insemu fit-covariate, insemu.fit.fit_following)"
             )
 
     def common_arguments(self) -> list[str]:

@@ -100,14 +100,16 @@ def track_charts(flight: Flight, track: SmoothedTrack | None = None, length_s: f
     return out
 
 
-_FORMATS = (".png", ".pdf", ".svg", ".html", ".htm")
+_PAGES = (".html", ".htm")
+_PICTURES = (".png", ".pdf", ".svg")
 
 
-def check_figure(file: str | Path) -> None:
-    """Raise ``InputError`` for a file that :func:`draw_track` cannot write, before anything is computed."""
-    suffix = Path(file).suffix.lower()
-    if suffix not in _FORMATS:
-        raise InputError(f"cannot draw '{suffix}' files, expected {', '.join(_FORMATS)}", where=str(file))
+def check_figure(figure: str, page: str) -> None:
+    """Raise ``InputError`` for files that :func:`draw_track` cannot write, before anything is computed; nothing is checked of an empty name."""
+    for file, expected in ((figure, _PICTURES), (page, _PAGES)):
+        suffix = Path(file).suffix.lower()
+        if file and suffix not in expected:
+            raise InputError(f"found the suffix '{suffix}', expected {', '.join(expected)}", where=file)
 
 
 def draw_track(
@@ -135,10 +137,9 @@ def draw_track(
         In place of those that belong to the flight.
     """
     flight = flight if outages is None else replace(flight, outages=tuple(outages))
-    check_figure(file)
     path = Path(file)
     path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix.lower() in (".html", ".htm"):
+    if path.suffix.lower() in _PAGES:
         return _page(flight, path, track, source, length_s)
     from insemu.report.static import DPI, draw
 

@@ -110,12 +110,12 @@ def candidates(
     out = []
     for name in dict.fromkeys((*GRADES, *designs)):
         if name not in shipped_designs():
-            raise InputError(f"no design '{name}' comes with insemu (`insemu designs` lists them)", where="--design")
+            raise InputError(f"no design '{name}' comes with insemu (`insemu designs` lists them)", where="--designs")
         sources = Design.model_validate(name).sources()
         if not all(isinstance(s, NoiseModel) for s in sources.values()):
             raise InputError(
-                f"'{name}' has to be fitted to a static log first (insemu fit LOG -o models.yaml, then --model models.yaml)",
-                where="--design",
+                f"'{name}' has to be fitted to a static log first: insemu fit LOG -o models.yaml, then --models models.yaml",
+                where="--designs",
             )
         out.append(Candidate(name, {a: s for a, s in sources.items() if isinstance(s, NoiseModel)}, extras))
     if sensor:

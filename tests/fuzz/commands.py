@@ -132,23 +132,9 @@ def _value(rng: random.Random, parameter: Any) -> str:
     name = str(parameter.name)
     if rng.random() < 0.1:
         return rng.choice((*_TEXTS, *_NUMBERS, *_ODD_FILES))
-    if name in ("out", "page", "kalibr", "log", "pictures", "figure"):
+    if name in ("out", "page", "figure") or (name, parameter.metavar) == ("log", "FILE"):
         return rng.choice(_OUT)
-    if name in (
-        "scenario",
-        "file",
-        "files",
-        "recording",
-        "measured",
-        "gnss",
-        "truth",
-        "track",
-        "beside",
-        "baseline",
-        "held_out",
-        "like",
-        "start",
-    ):
+    if parameter.metavar in ("FILE", "FOLDER", "LOG", "LOG...", "MODEL", "RECORDING", "REFERENCE", "SCENARIO", "UNIT"):
         return rng.choice(_ODD_FILES) if rng.random() < 0.2 else rng.choice(_FILES)
     if parameter.type_descriptor.annotation in (int, float, int | None, float | None):
         return rng.choice(_NUMBERS) if rng.random() < 0.5 else str(rng.randint(1, 5))
@@ -170,7 +156,7 @@ def _line(rng: random.Random, commands: dict[str, Any]) -> list[str]:
                 if not getattr(parameter, "is_flag", False):
                     line += [_value(rng, parameter) for _ in range(max(1, parameter.nargs))]
     if rng.random() < 0.05:
-        line.insert(rng.randrange(len(line)), rng.choice(("--nope", "-", "--", "-x", "--out", "extra")))
+        line.insert(rng.randrange(len(line)), rng.choice(("--nope", "-", "--", "-x", "--output", "extra")))
     if rng.random() < 0.05:
         line.pop(rng.randrange(len(line)))
     return line
@@ -192,7 +178,7 @@ def prepare(what: str, folder: Path) -> Callable[[random.Random], None]:
     os.chdir(pristine)
     quiet = io.StringIO()
     for line in (
-        "emulate s.yaml --out ../warm.npz",
+        "emulate s.yaml --output ../warm.npz",
         "characterise log.csv --json",
         "characterise rec.npz --json --rate 50Hz",
         "open rec.npz",

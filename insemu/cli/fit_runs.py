@@ -1,4 +1,4 @@
-"""Several runs of one sensor in ``insemu fit``: one model, its spread, and what the next switch-on will show."""
+"""``insemu fit-runs``: several runs of one sensor; one model, its spread, and what the next switch-on will show."""
 
 from __future__ import annotations
 
@@ -6,50 +6,46 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from insemu.cli.options import DRAWS, argument, option
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rich.console import Console
 
     from insemu.fit import Choice, RunsFit
-    from insemu.records import Series
 
 
-def fit_many(
-    runs: Sequence[list[Series]], models: Sequence[str], *, bootstrap: int, seed: int, out: str, as_json: bool
+def command(
+    logs: list[str] = argument("LOG...", "Logs at rest, runs of one sensor."),
+    models: list[str] = option(
+        "--model", ..., "Structure; may be repeated, the one that predicts runs left out best is taken."
+    ),
+    columns: list[str] | None = option("--columns", None),
+    rate: str = option("--rate", ""),
+    skip: str = option("--skip", "0 s"),
+    bootstrap: int = option("--bootstrap", 0, "Draws of the test of near-stationarity; 0: no test.", min=0, max=DRAWS),
+    seed: int = option("--seed", 0, "Seed of these draws."),
+    out: str = option("--output", "", "Write the models and their spread as YAML that a scenario reads."),
+    as_json: bool = option("--json", False),
 ) -> None:
-    """Fit every axis that all runs have, print or write what was found.
-
-    Parameters
-    ----------
-    runs : sequence of list of Series
-        The axes of every run.
-    models : sequence of str
-        Structures; of several the one that predicts best is fitted.
-    bootstrap : int
-        Draws of the test of near-stationarity.
-    seed : int
-        Of these draws.
-    out : str
-        Model file to write, or nothing.
-    as_json : bool
-        Print JSON on standard output.
-
-    Raises
-    ------
-    InputError
-        Runs without a common axis; see :func:`insemu.fit.fit_runs`.
-    """
+    """Fit one noise model to several runs of a sensor: its spread, and what the next switch-on will show (gmwm)."""
     import json
 
     import numpy as np
     from rich.console import Console
 
+    from insemu import units
+    from insemu.cli.announce import announce
+    from insemu.cli.logs import read_static
     from insemu.cli.printing import staged
     from insemu.errors import InputError
     from insemu.fit import choose_model, fit_runs, save
     from insemu.noise import NoiseModel
 
+    for name in logs:
+        announce(name, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
+    runs = [read_static(name, rate, columns, skip) for name in logs]
     by_name = [{s.name: s for s in run} for run in runs]
     axes = [s.name for s in runs[0] if all(s.name in run for run in by_name)]
     if not axes:

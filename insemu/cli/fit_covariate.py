@@ -1,50 +1,50 @@
-"""``insemu fit --covariate``: levels that follow temperature, speed, rate, force, vibration or a column."""
+"""``insemu fit-covariate``: levels that follow temperature, speed, rate, force, vibration or a column."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from insemu.cli.options import DRAWS, argument, option
+
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from insemu.cli.covariates import Request
     from insemu.fit import FollowingFit
     from insemu.noise import NoiseModel
     from insemu.records import Series
 
-#: Segments that a log is cut into unless the user says how many.
-SEGMENTS = 12
 
-
-def fit_covariate(request: Request, covariate: str) -> None:
-    """Fit every axis in segments with their covariates, print or write what was found.
-
-    Parameters
-    ----------
-    request : Request
-        Where no process of its structure says what it follows, all follow the covariate.
-    covariate : str
-        ``NAME``, ``NAME:SEGMENTS``, or nothing where the model says what is followed.
-
-    Raises
-    ------
-    InputError
-        See :func:`insemu.fit.fit_following`; a covariate that the file does not have.
-    """
+def command(
+    log: str = argument("LOG", "Log at rest or drive, with the covariate beside the signals."),
+    model: str = option("--model", ...),
+    covariate: str = option(
+        "--covariate",
+        "",
+        "What all levels follow: temperature, speed, rate, force, vibration or a column; not needed where the model says it: "
+        '"WN(follows=temperature) + GM()".',
+    ),
+    segments: int = option("--segments", 12, min=2, max=DRAWS),
+    columns: list[str] | None = option("--columns", None),
+    rate: str = option("--rate", ""),
+    skip: str = option("--skip", "0 s"),
+    tau_from: str = option("--tau-from", ""),
+    tau_to: str = option("--tau-to", ""),
+    out: str = option("--output", "", "Write the models as YAML that a scenario reads."),
+    page: str = option("--page", ""),
+    as_json: bool = option("--json", False),
+) -> None:
+    """Fit a noise model whose levels follow a covariate, over segments of a log or drive (gmwm)."""
+    from insemu.cli.covariates import Request
     from insemu.covariates import checked, needed
-    from insemu.errors import InputError
     from insemu.fit import fit_following
     from insemu.report import render_following
 
-    name, _, count = covariate.partition(":")
-    if count and not count.isdecimal():
-        raise InputError(f"found '{count}' segments, expected a whole number as in temperature:12", where="--covariate")
+    request = Request(log, model, rate, skip, columns, tau_from, tau_to, out, page, as_json)
     series, found = request.opened()
 
     def fit(s: Series) -> FollowingFit:
-        asked = followed(request.model, s.unit, name)
-        checked(needed([asked]), found, request.file)
-        segments = int(count) if count else SEGMENTS
+        asked = followed(model, s.unit, covariate)
+        checked(needed([asked]), found, log)
         return fit_following(s, found, asked, segments=segments, tau_from=request.tau[0], tau_to=request.tau[1])
 
     request.give(request.fitted(series, fit), _show, render_following)

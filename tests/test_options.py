@@ -1,0 +1,89 @@
+"""One language of commands: every option is of the table, and every command that is written somewhere exists."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.main import get_command
+
+from insemu import units
+from insemu.cli import app
+from insemu.cli.options import ARGUMENTS, OPTIONS, SHORT
+
+ROOT = Path(__file__).resolve().parent.parent
+COMMANDS: dict[str, Any] = dict(get_command(app).commands)  # type: ignore[attr-defined]
+PARAMETERS = [(name, p) for name, command in COMMANDS.items() for p in command.params if p.name != "help"]
+#: What follows an option of the kind ``'100 Hz'``.
+QUANTITY = re.compile(r"'([\d.]+ \w+)'")
+
+
+def test_every_option_is_of_the_table_and_every_entry_is_used() -> None:
+    spelled = {p.opts[0]: p for _, p in PARAMETERS}
+    arguments = {p.metavar for _, p in PARAMETERS if p.param_type_name == "argument"}
+    options = {p.opts[0] for _, p in PARAMETERS if p.param_type_name == "option"}
+    assert arguments == set(ARGUMENTS) and options == set(OPTIONS), spelled.keys()
+    for command, p in PARAMETERS:
+        if p.param_type_name == "argument":
+            continue
+        long = p.opts[0]
+        follows, _ = OPTIONS[long]
+        assert p.opts == [long, *([SHORT[long]] if long in SHORT else [])], command
+        assert p.secondary_opts == ([f"--no-{long[2:]}"] if p.default is True else []), (command, long)
+        assert (p.metavar or "") == follows and p.is_flag == (not follows), (command, long)
+
+
+def test_quantities_are_text_with_the_unit_that_the_table_shows() -> None:
+    quantities = {name: QUANTITY.findall(follows) for name, (follows, _) in OPTIONS.items() if QUANTITY.search(follows)}
+    assert len(quantities) >= 7
+    for command, p in PARAMETERS:
+        for example in quantities.get(p.opts[0], []):
+            assert units.parse(example, example.split()[1]) > 0
+            given = p.default if isinstance(p.default, tuple) else (p.default,)
+            assert all(isinstance(text, str | None) for text in given), (command, p.opts[0])
+
+
+def written() -> list[tuple[str, str]]:
+    """Commands as text, with the file: in messages and docstrings of the package, in documents and scenarios."""
+    out = []
+    for path in sorted((ROOT / "insemu").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                out.append((path.name, node.value))
+    for path in [
+        *ROOT.glob("*.md"),
+        *(ROOT / "docs").rglob("*.md"),
+        *(ROOT / "docs").rglob("*.yaml"),
+        *(ROOT / "scenarios").rglob("*.yaml"),
+    ]:
+        if path.name != "CHANGELOG.md":
+            out += [(path.name, line) for line in path.read_text(encoding="utf-8").splitlines()]
+    return [
+        (where, line)
+        for where, text in out
+        for line in re.findall(r"(?<![\w./-])insemu ([a-z][a-z-]*[^`'|;,)}\n]*)", text)
+    ]
+
+
+def wrong(line: str) -> str:
+    """What is wrong with a command that a text writes; nothing where it is none or right."""
+    name = line.split()[0]
+    offered = re.findall(r"(?<!\S)\[?(--?[a-z][a-z-]*)", line)
+    if name not in COMMANDS:
+        return f"no command '{name}'" if offered else ""
+    own = {o for p in COMMANDS[name].params for o in (*p.opts, *p.secondary_opts)} | {"--help"}
+    return next((f"{name} has no {o}" for o in offered if o not in own), "")
+
+
+def test_commands_that_are_written_somewhere_exist() -> None:
+    lines = written()
+    assert len(lines) > 200
+    assert not [(where, line, wrong(line)) for where, line in lines if wrong(line)]
+
+
+@pytest.mark.parametrize("line", ["gap a.yaml --measured b.npz", "init x.yaml --map 'rate=1 Hz'", "sovle x --json"])
+def test_a_command_that_does_not_exist_is_seen(line: str) -> None:
+    assert wrong(line)
