@@ -73,11 +73,6 @@ _K = B * GAMMA_POLE / (A * GAMMA_EQUATOR) - 1.0
 GRAVITY_CODES = {"normal": 0, "free_air_first_order": 1}
 
 
-def constants() -> dict[str, float]:
-    """The ellipsoid and its gravity by the names that code for another compiler knows them by (:mod:`insemu.filters.gpu`)."""
-    return {"A": A, "F": F, "E2": E2, "RATE": RATE, "GAMMA": GAMMA_EQUATOR, "K_SOMIGLIANA": _K, "M_RATIO": _M}
-
-
 def gravity_code(name: str) -> int:
     """Return the number that compiled code takes for a gravity model.
 

@@ -26,11 +26,11 @@ def test_every_slow_test_that_was_collected_states_a_reason(all_collected: list[
 
 
 def test_what_was_left_out_is_counted_by_reason() -> None:
-    lines = left_out(["no browser", "no GPU", "no browser"], Counter({"many draws": 3}))
+    lines = left_out(["no browser", "no Docker", "no browser"], Counter({"many draws": 3}))
     assert lines == [
         "3 skipped:",
         "     2  no browser",
-        "     1  no GPU",
+        "     1  no Docker",
         "3 slow, left to `make test-slow`:",
         "     3  many draws",
     ]

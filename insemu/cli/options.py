@@ -93,7 +93,6 @@ OPTIONS: dict[str, tuple[str, str]] = {
     "--seed": ("N", "Seed of all random draws; default the scenario's."),
     "--workers": ("N", "Work items at a time; default the number of cores."),
     "--cluster": ("WHERE", "Work on a Dask cluster: local, or tcp://HOST:PORT."),
-    "--gpu": ("", "Fly on this machine's GPU (pip install 'insemu[gpu]'), many realizations at a time."),
     "--shard": ("K/N", "Fly only a part, such as 3/40, and keep it in the folder; insemu merge makes the results."),
     "--until": ("GOAL", "Fly on until 'planimetric_end ratio DESIGN/DESIGN within 5 %' or '... mean DESIGN ...'."),
     "--linear": ("N", "Fly nothing: so many realizations to first order."),

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from insemu.evaluate import Experiment, Results, Shard
-    from insemu.filters import Gpu
 
 
 #: Outages of which error budgets are made: each goes back through the flight, so that those of n outages take n times the flight.
@@ -39,7 +38,6 @@ def command(
         "--output", "", "Folder for results; default results/NAME beside the current folder, NAME-linear with --linear."
     ),
     cluster: str = option("--cluster", ""),
-    gpu: bool = option("--gpu", False),
     shard: str = option(
         "--shard", "", "Fly only a part, for example 3/40, and keep it in the folder; insemu merge makes the results."
     ),
@@ -66,7 +64,6 @@ def command(
     from insemu.compiled import compiled_beside
     from insemu.errors import InputError
     from insemu.evaluate import Shard, effort
-    from insemu.filters import GPU_THREADS, Gpu
 
     # progress and warnings go to standard error: a closed pipe behind the tables costs no files
     told = Console(stderr=True)
@@ -79,27 +76,19 @@ def command(
     ]
     if len(ways) > 1:
         raise InputError(f"{' and '.join(ways)} exclude each other", where="insemu run")
-    if gpu and cluster:
-        raise InputError("--gpu and --cluster exclude each other", where="insemu run")
     part = Shard.parse(shard) if shard else None
-    many = workers or (GPU_THREADS if gpu else os.cpu_count() or 1)
-    device = Gpu() if gpu else None
+    many = workers or os.cpu_count() or 1
     with (
         compiled_beside("insemu.evaluate.kernels", "insemu.filters.kernel.run"),
         dask_cluster(cluster, many) as pool,
     ):
-        experiments = prepared(scenario, overrides, with_variants=variants, console=told, gpu=device)
+        experiments = prepared(scenario, overrides, with_variants=variants, console=told)
         if control:
             check_control(experiments[""], until=bool(until))
         if linear:
             target = folder if out else folder.with_name(f"{folder.name}-linear")
             preview(experiments[""], linear, target, Console(), as_json=as_json)
             return
-        if gpu and experiments[""].scenario.smoother:
-            raise InputError(
-                "a smoother needs the covariances at every fix, which a GPU does not keep; expected 'smoother: false' with --gpu",
-                where=scenario,
-            )
         told.print(f"Ahead: {effort(list(experiments.values()), many)}.", soft_wrap=True, highlight=False)
         if part is not None:
             run: dict[str, Any] = {"scenario": str(Path(scenario).resolve()) if Path(scenario).exists() else scenario}
@@ -116,8 +105,6 @@ def command(
             experiments, folder, (many, pool), told, overwrite=overwrite, pictures=pictures,
             also=help_figures if control else None,
         )  # fmt: skip
-    for why, count in device.left.items() if device else ():
-        told.print(f"Flown on the processor: {count} flights with {why}.", soft_wrap=True, highlight=False)
     say_all(results, failed, folder, as_json=as_json)
 
 
@@ -230,7 +217,7 @@ def fly_shard(
 
 
 def prepared(
-    scenario: str, overrides: Mapping[str, Any], *, with_variants: bool, console: Console, gpu: Gpu | None = None
+    scenario: str, overrides: Mapping[str, Any], *, with_variants: bool, console: Console
 ) -> dict[str, Experiment]:
     """The experiments by the name of the variant, "" first: everything is checked before anything is flown or written."""
     from insemu.cli.announce import announce_warnings, announce_world
@@ -238,9 +225,9 @@ def prepared(
     from insemu.scenario import load
 
     base = load(scenario, overrides=overrides)
-    experiments = {"": Experiment(base, scenario, gpu)}
+    experiments = {"": Experiment(base, scenario)}
     for name in base.variants if with_variants else ():
-        experiments[name] = Experiment(load(scenario, variant=name, overrides=overrides), scenario, gpu)
+        experiments[name] = Experiment(load(scenario, variant=name, overrides=overrides), scenario)
     announce_world(experiments[""].world.card, console)
     announce_warnings(experiments.values(), console)
     return experiments

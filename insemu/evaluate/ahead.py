@@ -52,7 +52,7 @@ def effort(experiments: Sequence[Experiment], workers: int) -> str:
         held = min(samples, float(STRETCH)) if isinstance(e.world, StretchedWorld) else samples
         epochs += samples * e.realizations * len(e.scenario.designs)
         beside = -(-e.realizations // min(workers, e.realizations))
-        lanes += samples * e.realizations * len(e.scenario.designs) * (1.0 if e.gpu else LANES / min(most(e), beside))
+        lanes += samples * e.realizations * len(e.scenario.designs) * LANES / min(most(e), beside)
         kept += (
             held * BYTES_PER_SAMPLE
         )  # the worlds of all experiments are there from the start, their results to the end

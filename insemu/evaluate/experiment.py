@@ -32,7 +32,6 @@ from insemu.filters import (
     FilterParts,
     FilterResult,
     FixTable,
-    Gpu,
     InitialSigma,
     LooselyCoupledEKF,
     NavigationFilter,
@@ -95,8 +94,6 @@ class Experiment:
     scenario : Scenario
     file : path, optional
         Where it was read from; relative paths in it are relative to that file.
-    gpu : Gpu, optional
-        Flies what it can fly; several threads give it more to fly at a time.
 
     Raises
     ------
@@ -104,17 +101,16 @@ class Experiment:
         Missing or unusable input, an outage beyond the end, a signal shorter than the flight.
     """
 
-    def __init__(self, scenario: Scenario, file: str | Path | None = None, gpu: Gpu | None = None) -> None:
+    def __init__(self, scenario: Scenario, file: str | Path | None = None) -> None:
         self.scenario = scenario
         self.file = file
-        self.gpu = gpu
         if not scenario.designs:
             raise InputError("the key 'designs' is missing: there is nothing to fly", where=str(file or "scenario"))
         self.world: World = (
             RecordedWorld(scenario, file) if scenario.recording is not None else emulated_world(scenario, file)
         )
         code = [file for d in scenario.designs.values() if d.filter for file in user_filter_code(d.filter).items()]
-        self.digest = digest(scenario, {**self.world.files, **dict(code)}, "gpu" if gpu else "")
+        self.digest = digest(scenario, {**self.world.files, **dict(code)})
         self._held: dict[str, tuple[bytes, tuple[NavigationFilter, Array]]] = {}
         _ = self.world.outage_windows  # what is wrong with them is said before anything is flown
         if isinstance(self.world, RecordedWorld):
@@ -124,7 +120,7 @@ class Experiment:
                 self._made(name, self._belief(name, {}))  # nor is a belief that no filter can carry
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"code": code_version(), "_held": {}, "gpu": None}
+        return self.__dict__ | {"code": code_version(), "_held": {}}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         if state.pop("code") != code_version():
@@ -357,9 +353,7 @@ class Experiment:
             parts = self.altered(design, parts)
             if chosen.filter is not None:
                 return parts.user(chosen.filter, chosen.settings)
-            made = parts.own()
-            made.gpu = self.gpu
-            return made
+            return parts.own()
         except InputError as error:
             hint = ""
             if isinstance(error, NotStationary):
@@ -393,7 +387,7 @@ class Experiment:
         prepared = [self._prepared(name, one) for one in realized]
         runs: dict[int, FilterResult | InputError] = {}
         # rests are another list of updates in every realization
-        together = self.gpu is None and self.scenario.designs[name].options.zero_updates is None
+        together = self.scenario.designs[name].options.zero_updates is None
         for k, (p, one) in enumerate(zip(prepared, realized, strict=True)):
             if k in runs:
                 continue

@@ -63,7 +63,6 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "digest": experiment.digest,
         "seed": experiment.scenario.seed,
         **surroundings(experiment.world.files),
-        "gpu": None if experiment.gpu is None else experiment.gpu.name,
         "ideal_imu_distance_m": experiment.world.path_distance_m,
         "warnings": list(experiment.warnings),
         "intake": None if (card := experiment.world.card) is None else card.to_json(),
@@ -308,7 +307,7 @@ class _Together:
 
 def most(experiment: Experiment) -> int:
     """Realizations that fly side by side at most: as many as there are lanes, fewer where long records would fill the memory."""
-    return 1 if experiment.gpu is not None else max(1, min(LANES, int(SAMPLES / experiment.samples)))
+    return max(1, min(LANES, int(SAMPLES / experiment.samples)))
 
 
 def groups(

@@ -18,7 +18,6 @@ from insemu.filters.alignment import (
 from insemu.filters.ekf import LooselyCoupledEKF, run_filter
 from insemu.filters.events import SAME_TIME
 from insemu.filters.gains import Gains, gains_along, on_ideal_data
-from insemu.filters.gpu import GPU_THREADS, Gpu
 from insemu.filters.joint import JointSystem, error_maps
 from insemu.filters.likeliest import Innovations, Likeliest, likeliest, uncertainty
 from insemu.filters.measurements import FIX
@@ -42,7 +41,6 @@ from insemu.filters.twin import Carried, Intervals, LinearErrors, carried, drive
 __all__ = [
     "AIDS",
     "FIX",
-    "GPU_THREADS",
     "SAME_TIME",
     "SETTINGS",
     "Aid",
@@ -55,7 +53,6 @@ __all__ = [
     "FilterResult",
     "FixTable",
     "Gains",
-    "Gpu",
     "InitialSigma",
     "Innovations",
     "Intervals",

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from insemu import lanes
 from insemu.augment import StateLayout
-from insemu.filters import gpu
 from insemu.filters.events import Events
 from insemu.filters.options import FilterOptions
 from insemu.filters.results import FilterResult, FixTable, Nodes
@@ -89,15 +88,6 @@ class Buffers:
     def passed(self, side_by_side: bool) -> dict[str, Any]:
         """As compiled code takes them."""
         return {k: lanes.lanes_of(v) if side_by_side and v.dtype.kind == "f" else v for k, v in vars(self).items()}
-
-    @classmethod
-    def flown(cls, f: gpu.Flown, events: Events) -> Buffers:
-        """Those of a flight on a GPU, which stores no nodes."""
-        none = np.zeros((0, 0))
-        return cls(
-            f.nav, f.var, f.x, f.nu, f.S, f.nis, f.dof.astype(float), f.ok.astype(float), events.epoch.copy(), none, none, f.covariance,
-            np.zeros(0, dtype=np.int64), none, none, none, none, none, none, f.last,
-        )  # fmt: skip
 
     def result(
         self,

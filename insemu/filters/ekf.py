@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from insemu import earth, lanes
 from insemu.augment import Belief, StateLayout, augment
 from insemu.errors import InputError
-from insemu.filters import following, gpu, kernel
+from insemu.filters import following, kernel
 from insemu.filters.buffers import Buffers
 from insemu.filters.events import FIX_ROWS, SAME_TIME, Events, GnssSigma, aid_events, fix_events, joined
 from insemu.filters.events import side_by_side as beside
@@ -117,12 +117,10 @@ class LooselyCoupledEKF:
         self._packed = pack(self.augmentation, self.options.covariance_every)
         self._side_by_side = pack(self.augmentation, self.options.covariance_every, side_by_side=True)
         self._belief = belief
-        #: Where flights are flown that it can fly; None: here.
-        self.gpu: gpu.Gpu | None = None
 
     def with_options(self, **changes: Any) -> LooselyCoupledEKF:
         """The same design with some options (fields of :class:`FilterOptions`) replaced."""
-        made = LooselyCoupledEKF(
+        return LooselyCoupledEKF(
             self._belief,
             self.dt,
             lever_arm=self.lever_arm,
@@ -130,8 +128,6 @@ class LooselyCoupledEKF:
             gnss_sigma=self.gnss_sigma,
             options=replace(self.options, **changes),
         )
-        made.gpu = self.gpu
-        return made
 
     @property
     def layout(self) -> StateLayout:
@@ -201,7 +197,7 @@ class LooselyCoupledEKF:
             semidefinite (the message names the state).
         """
         flight = self._prepared(imu, gnss, initial, initial_sigma, aids, initial_states)
-        (out,) = self._on_gpu(flight) or self._fly([flight], side_by_side=False)
+        (out,) = self._fly([flight], side_by_side=False)
         if isinstance(out, InputError):
             raise out
         return out
@@ -252,8 +248,7 @@ class LooselyCoupledEKF:
             for first in range(0, len(same), lanes.LANES):
                 part = same[first : first + lanes.LANES]
                 flights = [flight for _, flight in part]
-                by_itself = self._on_gpu(flights[0]) if len(flights) == 1 else None
-                flown = by_itself or self._fly(flights, side_by_side=self.installation()[1] < 0)
+                flown = self._fly(flights, side_by_side=self.installation()[1] < 0)
                 out |= dict(zip((k for k, _ in part), flown, strict=True))
         return [out[k] for k in range(len(imus))]
 
@@ -272,32 +267,6 @@ class LooselyCoupledEKF:
         gyro, accel = self.augmentation.sensed(record)
         powers = following.powers(self.augmentation, imu)
         return _Flight(record.t, gyro, accel, powers, nav, x0, P0, self.events(record.t, gnss, aids))
-
-    def _on_gpu(self, flight: _Flight) -> list[FilterResult | InputError] | None:
-        """The result of a flight on the GPU; None where there is no GPU or it does not take the flight."""
-        if self.gpu is None:
-            return None
-        started = time.perf_counter()
-        o, events, (lever_at, latency_at) = self.options, flight.events, self.installation()
-        around, cov_epoch = steps_around(self.dt) if lever_at >= 0 else 0, self.covariance_epochs(flight.t)
-        design = gpu.Design(
-            self.augmentation,
-            self._gravity,
-            self.lever_arm,
-            lever_at,
-            around,
-            o,
-            self.thresholds(),
-            flight.t,
-            cov_epoch,
-        )
-        if not self.gpu.takes(design, latency_at, events):
-            return None
-        imu = np.hstack([flight.gyro, flight.accel])
-        flown = self.gpu.fly(design, gpu.Flight(imu, flight.nav, flight.x0, flight.P0, events))
-        wrong = self._wrong(flown.code, flown.detail)
-        b = Buffers.flown(flown, events)
-        return [wrong or b.result(self.layout, flight.t, o, events, cov_epoch, 0, time.perf_counter() - started)]
 
     def _fly(self, flights: Sequence[_Flight], *, side_by_side: bool) -> list[FilterResult | InputError]:
         """Flights of the same times through the compiled loop: one as numbers, or up to :data:`~insemu.lanes.LANES` in lanes."""

@@ -189,13 +189,13 @@ def code_version() -> str:
     """Hash of the package's own source: results of other code are never taken for results of this one."""
     root = Path(insemu.__file__).parent
     digest_ = hashlib.sha256()
-    for file in sorted((*root.rglob("*.py"), *root.rglob("*.cu"))):
+    for file in sorted(root.rglob("*.py")):
         digest_.update(str(file.relative_to(root)).encode())
         digest_.update(file.read_bytes())
     return digest_.hexdigest()
 
 
-def digest(scenario: Scenario, files: Mapping[str, Path] | None = None, flown: str = "") -> str:
+def digest(scenario: Scenario, files: Mapping[str, Path] | None = None) -> str:
     """Identity of an experiment: resolved scenario, contents of its input files and code version (sha256, 16 hex digits).
 
     The number of realizations, the text fields and the variants do not belong to it: realization 7 is the same among 10 or 1000.
@@ -205,8 +205,6 @@ def digest(scenario: Scenario, files: Mapping[str, Path] | None = None, flown: s
     scenario : Scenario
     files : mapping of str to path, optional
         Input files.
-    flown : str
-        What else flies it than the compiled loop, whose numbers differ in rounding.
     """
     content = scenario.model_dump(
         mode="json", exclude={"realizations", "title", "question", "notes", "variants", "smoke", "published"}
@@ -216,7 +214,7 @@ def digest(scenario: Scenario, files: Mapping[str, Path] | None = None, flown: s
         for name, path in sorted((files or {}).items())
         if path.is_file()
     }
-    text = json.dumps([content, hashes, code_version(), *([flown] if flown else [])], sort_keys=True)
+    text = json.dumps([content, hashes, code_version()], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
