@@ -169,8 +169,8 @@ def judged(s: Start, how: Callable[[Start], Alignment]) -> Verdict:
     C = rotation.dcm_from_quaternion(s.nav[found.row, 6:10])
     error = rotation.vector_from_dcm(rotation.dcm_from_rpy(found.state.rpy) @ C.T)
     sigma = float(np.asarray(found.sigma.attitude)[2])
-    told = np.isfinite(found.gyro_bias)
-    off = np.abs(found.gyro_bias - s.bias)[told] / found.gyro_bias_sigma[told]
+    told = np.isfinite(found.bias[:3])
+    off = np.abs(found.bias[:3] - s.bias)[told] / found.bias_sigma[:3][told]
     return Verdict(False, abs(float(error[2])) / sigma, sigma, float(off.max(initial=0.0)))
 
 

@@ -193,10 +193,9 @@ class RecordedWorld:
         """The data of :meth:`recording` as one filter flies them: a bias that it knows better than the alignment is put back."""
         if not isinstance(ekf, LooselyCoupledEKF):
             return imu
-        believed = ekf.augmentation.turn_on_sigma()[:3]
-        back = self.alignment.bias_beyond() - self.alignment.bias_beyond(believed)
+        back = self.alignment.bias_beyond() - self.alignment.bias_beyond(ekf.augmentation.turn_on_sigma())
         step = np.diff(imu.t, prepend=2 * imu.t[0] - imu.t[1])[:, None]
-        return replace(imu, gyro=imu.gyro + back * step)
+        return replace(imu, gyro=imu.gyro + back[:3] * step, accel=imu.accel + back[3:] * step)
 
     def restored(self, recording: Recording) -> Recording:
         """The recording with what its raw file shows to be lost filled in."""

@@ -53,8 +53,8 @@ class Alignment:
     row : int
     state : NavState
     sigma : InitialSigma
-    gyro_bias, gyro_bias_sigma : (3,) arrays
-        What the gyroscopes show beside the Earth's rate and the vehicle's, and its standard deviation, rad/s; NaN where nothing tells it.
+    bias, bias_sigma : (6,) arrays
+        Biases of gyroscopes and accelerometers and their standard deviations, rad/s and m/s^2; NaN where nothing tells them.
     standstill : tuple of (start, end)
         Intervals at rest, s.
     """
@@ -63,19 +63,19 @@ class Alignment:
     row: int
     state: NavState
     sigma: InitialSigma
-    gyro_bias: Array
-    gyro_bias_sigma: Array
+    bias: Array
+    bias_sigma: Array
     standstill: tuple[tuple[float, float], ...]
 
     @property
     def known_bias(self) -> tuple[Array, Array] | None:
         """The gyroscope bias and its covariance (3, 3), as :func:`~insemu.filters.rest.rests` takes them; None where nothing told it."""
-        if np.isnan(self.gyro_bias).any():
+        if np.isnan(self.bias[:3]).any():
             return None
-        return self.gyro_bias, np.diag(self.gyro_bias_sigma**2)
+        return self.bias[:3], np.diag(self.bias_sigma[:3] ** 2)
 
     def bias_beyond(self, believed: Array | None = None) -> Array:
-        """The part of the gyroscope bias that is taken off the data of a filter, (3,), rad/s; zero where nothing tells it.
+        """The part of the biases that is taken off the data of a filter, (6,), rad/s and m/s^2; zero where nothing tells it.
 
         A bias that is found to ``s`` and believed to be within ``b`` of zero at the start is most likely the share ``b^2 / (b^2 + s^2)`` of what
         was found: of a sensor that is better than the alignment can see, almost nothing. A bias that contradicts the belief is taken off
@@ -83,14 +83,14 @@ class Alignment:
 
         Parameters
         ----------
-        believed : (3,) array, optional
-            Standard deviation of the turn-on bias as the filter believes it, rad/s; where it is NaN or left out the filter knows of none, and all
-            of the bias is taken off.
+        believed : (6,) array, optional
+            Standard deviation of the turn-on bias as the filter believes it, rad/s and m/s^2; where it is NaN or left out the filter knows of
+            none, and all of the bias is taken off.
         """
-        found = np.nan_to_num(self.gyro_bias)
+        found = np.nan_to_num(self.bias)
         if believed is None:
             return found
-        own, total = believed**2, believed**2 + np.nan_to_num(self.gyro_bias_sigma) ** 2
+        own, total = believed**2, believed**2 + np.nan_to_num(self.bias_sigma) ** 2
         likely = np.abs(found) <= CONTRADICTED * np.sqrt(total)  # not where it is NaN
         return np.asarray(np.where(likely, found * own / np.maximum(total, np.finfo(float).tiny), found))
 
@@ -102,18 +102,19 @@ def level(f_b: ArrayLike) -> tuple[float, float]:
 
 
 def cut(imu: ImuRecord, start: Alignment, believed: Array | None = None) -> ImuRecord:
-    """The record from an alignment on, as increments, less the gyroscope bias found there.
+    """The record from an alignment on, as increments, less the biases found there.
 
     Parameters
     ----------
     imu : ImuRecord
     start : Alignment
-    believed : (3,) array, optional
+    believed : (6,) array, optional
         As in :meth:`Alignment.bias_beyond`.
     """
     r = imu.as_increments()
     step = np.diff(r.t, prepend=2 * r.t[0] - r.t[1])[:, None]
-    return replace(r, gyro=r.gyro - start.bias_beyond(believed) * step).rows(slice(start.row, None))
+    off = start.bias_beyond(believed)
+    return replace(r, gyro=r.gyro - off[:3] * step, accel=r.accel - off[3:] * step).rows(slice(start.row, None))
 
 
 #: Standard deviations that are assumed at least where the fixes state none, m and m/s: data tell the noise, not errors that last.
@@ -213,7 +214,13 @@ def align_at_rest(
     row = int(np.flatnonzero(inside)[-1])
     state = NavState(np.asarray(llh, dtype=np.float64), np.zeros(3), rpy)
     sigma = InitialSigma(1.0, 0.05, (tilt, tilt, max(heading_sigma, np.deg2rad(0.2))))
-    return Alignment(float(r.t[row]), row, state, sigma, bias, wander, (rest,))
+    return Alignment(float(r.t[row]), row, state, sigma, *_of_gyro(bias, wander), (rest,))
+
+
+def _of_gyro(bias: Array, sigma: Array) -> tuple[Array, Array]:
+    """Biases and standard deviations (6,) of an alignment that tells nothing of the accelerometers' (3,)."""
+    nothing = np.full(3, np.nan)
+    return np.concatenate([bias, nothing]), np.concatenate([sigma, nothing])
 
 
 @dataclass(frozen=True)
@@ -317,46 +324,20 @@ def _of_positions(gnss: GnssRecord, inside: NDArray[np.bool_], min_speed: float)
     return None
 
 
-@dataclass(frozen=True)
-class StartBelief:
-    """What a start is uncertain by at least, and how the IMU is mounted.
-
-    Parameters
-    ----------
-    position_sigma, velocity_sigma : array_like
-        m and m/s, scalar or north, east, down.
-    tilt_sigma, heading_sigma : float
-        rad.
-    lever_arm : (3,) array_like
-        IMU to antenna in the axes of the IMU, m.
-    mounting : (3,) array_like
-        Roll, pitch, heading of the rotation from the axes of the IMU to those of the vehicle, rad.
-    motion_tilt, motion_heading : float
-        Least standard deviations of a start that is levelled in motion and headed along the track, rad.
-    """
-
-    position_sigma: ArrayLike = 0.0
-    velocity_sigma: ArrayLike = 0.0
-    tilt_sigma: float = 0.0
-    heading_sigma: float = 0.0
-    lever_arm: ArrayLike = (0.0, 0.0, 0.0)
-    mounting: ArrayLike = (0.0, 0.0, 0.0)
-    motion_tilt: float = 0.035
-    motion_heading: float = 0.09
+#: Least standard deviations of a start that is levelled in motion and headed along the track, rad.
+MOTION_TILT, MOTION_HEADING = 0.035, 0.09
+#: Least standard deviations of a start on a fix, m and m/s.
+FIX_POSITION, FIX_VELOCITY = 0.05, 0.1
 
 
-def on_reference(
-    imu: ImuRecord, reference: Trajectory, believed: StartBelief
-) -> tuple[ImuRecord, NavState, InitialSigma]:
-    """A start on the reference, at its first epoch or that of the IMU: the record from there on, state and standard deviations.
+def on_reference(imu: ImuRecord, reference: Trajectory) -> tuple[ImuRecord, NavState]:
+    """A start on the reference, at its first epoch or that of the IMU: the record from there on, and the state.
 
     Parameters
     ----------
     imu : ImuRecord
     reference : Trajectory
         Interpolated at the first epoch of the record that it covers.
-    believed : StartBelief
-        Standard deviations of position, velocity, tilt and heading.
 
     Returns
     -------
@@ -364,19 +345,16 @@ def on_reference(
         From the start on.
     state : NavState
         At its first epoch.
-    sigma : InitialSigma
     """
     first = int(np.searchsorted(imu.t, max(imu.t[0], reference.t[0])))
     imu = imu.rows(slice(first, None)) if first else imu
     columns = np.hstack([reference.llh, reference.vel_ned, np.unwrap(reference.rpy, axis=0)])
     at = np.array([np.interp(imu.t[0], reference.t, column) for column in columns.T])
-    tilt = believed.tilt_sigma
-    sigma = InitialSigma(believed.position_sigma, believed.velocity_sigma, (tilt, tilt, believed.heading_sigma))
-    return imu, NavState(at[:3], at[3:6], at[6:]), sigma
+    return imu, NavState(at[:3], at[3:6], at[6:])
 
 
 def on_track(
-    imu: ImuRecord, gnss: GnssRecord, track: Track, believed: StartBelief
+    imu: ImuRecord, gnss: GnssRecord, track: Track, lever_arm: Array
 ) -> tuple[ImuRecord, NavState, InitialSigma]:
     """A start on the fixes, levelled by the specific force less the track's acceleration, headed along the track.
 
@@ -385,12 +363,13 @@ def on_track(
     Parameters
     ----------
     imu : ImuRecord
-        In the axes of the IMU.
+        In vehicle axes.
     gnss : GnssRecord
         With standard deviations of its positions.
     track : Track
         See :func:`first_track`.
-    believed : StartBelief
+    lever_arm : (3,) array
+        IMU to antenna, m.
 
     Returns
     -------
@@ -401,29 +380,25 @@ def on_track(
     k = track.fix
     first = int(np.searchsorted(imu.t, gnss.t[k]))
     imu = imu.rows(slice(first, None)) if first else imu
-    arm_b = np.asarray(believed.lever_arm, dtype=np.float64)
     span = imu.as_increments()
     count = max(2, int(0.5 / imu.dt))
     velocity, slope, heading = track.velocity, track.slope, track.course
-    C = rotation.dcm_from_rpy(np.asarray(believed.mounting, dtype=np.float64))
-    force = C @ (span.accel[1:count].mean(axis=0) / imu.dt)
+    force = span.accel[1:count].mean(axis=0) / imu.dt
     along = float(slope[0] * np.cos(heading) + slope[1] * np.sin(heading))
     across = float(-slope[0] * np.sin(heading) + slope[1] * np.cos(heading))
     g = float(earth.gravity(gnss.llh[k, 0], gnss.llh[k, 2]))
     up = force - np.array([along, across, 0.0])
     roll, pitch = float(np.arctan2(-up[1], -up[2])), float(np.arcsin(np.clip(up[0] / g, -1.0, 1.0)))
-    rpy = rotation.rpy_from_dcm(rotation.dcm_from_rpy(np.array([roll, pitch, heading])) @ C)
+    rpy = np.array([roll, pitch, heading])
     late = float(imu.t[0] - gnss.t[k])
-    arm = rotation.dcm_from_rpy(rpy) @ arm_b
+    arm = rotation.dcm_from_rpy(rpy) @ lever_arm
     llh = earth.move(gnss.llh[k], velocity * late - arm)
-    own = np.asarray(believed.position_sigma, dtype=np.float64)
-    position = np.hypot(own, gnss.pos_std_ned[k] + believed.motion_heading * np.linalg.norm(arm))
+    position = np.hypot(FIX_POSITION, gnss.pos_std_ned[k] + MOTION_HEADING * np.linalg.norm(arm))
     # the velocity of the antenna swings about the IMU's
-    swing = float(np.linalg.norm(np.cross(span.gyro[1:count].mean(axis=0) / imu.dt, arm_b)))
-    own = np.asarray(believed.velocity_sigma, dtype=np.float64)
-    vel_sigma = np.sqrt(own**2 + track.velocity_sigma**2 + swing**2)
-    turn = max(believed.heading_sigma, believed.motion_heading, float(np.max(track.velocity_sigma[:2])) / track.speed)
-    tilt = max(believed.tilt_sigma, float(np.hypot(believed.motion_tilt, track.slope_sigma / g)))
+    swing = float(np.linalg.norm(np.cross(span.gyro[1:count].mean(axis=0) / imu.dt, lever_arm)))
+    vel_sigma = np.sqrt(FIX_VELOCITY**2 + track.velocity_sigma**2 + swing**2)
+    turn = max(MOTION_HEADING, float(np.max(track.velocity_sigma[:2])) / track.speed)
+    tilt = float(np.hypot(MOTION_TILT, track.slope_sigma / g))
     state = NavState(llh, velocity + slope * late, rpy)
     return imu, state, InitialSigma(position, vel_sigma, (tilt, tilt, turn))
 
@@ -462,11 +437,9 @@ def align(
     still = tuple((q.start, q.end) for q in quiet if q.still)
     if before:
         return _from_rest(imu, fixes, inside, track, before[0], still, np.asarray(lever_arm, dtype=np.float64))
-    cut_imu, state, sigma = on_track(
-        imu, fixes, track, StartBelief(position_sigma=0.05, velocity_sigma=0.1, lever_arm=lever_arm)
-    )
+    cut_imu, state, sigma = on_track(imu, fixes, track, np.asarray(lever_arm, dtype=np.float64))
     row = len(imu) - len(cut_imu)
-    nothing = np.full(3, np.nan)
+    nothing = np.full(6, np.nan)
     return Alignment(float(imu.t[row]), row, state, sigma, nothing, nothing, still)
 
 
@@ -511,7 +484,6 @@ def _from_rest(
         row,
         NavState(earth.move(gnss.llh[fix], -C @ lever_arm), np.zeros(3), rpy),
         InitialSigma(np.maximum(gnss.pos_std_ned[fix], 0.05), 0.05, (REST_TILT, REST_TILT, heading_sigma)),
-        mean - C.T @ rate,
-        np.sqrt(np.diag(covariance)),
+        *_of_gyro(mean - C.T @ rate, np.sqrt(np.diag(covariance))),
         still,
     )

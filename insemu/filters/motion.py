@@ -79,6 +79,23 @@ def _chain(angles: Array, turn: Array, dt: Array, out: Array) -> None:
         out[k] = Q
 
 
+def attitudes(angles: Array, turn: Array, dt: Array) -> Array:
+    """Attitudes (n, 3, 3) relative to the first.
+
+    Parameters
+    ----------
+    angles : (n, 3) array
+        Angle increments, rad.
+    turn : (3,) array
+        Rate of the local frame in the first axes, rad/s.
+    dt : (n,) array
+        Steps, s.
+    """
+    out = np.empty((len(angles), 3, 3))
+    _chain(np.ascontiguousarray(angles), turn, np.ascontiguousarray(dt), out)
+    return out
+
+
 def _skew(v: Array) -> Array:
     """Matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
     out = np.zeros((*v.shape, 3))
@@ -117,8 +134,7 @@ class _Integrals:
         step = np.diff(r.t, prepend=r.t[0])
         width = step[:, None]
         angles, force = r.gyro - bias[:3] * width, r.accel - bias[3:] * width
-        Q = np.empty((len(r), 3, 3))
-        _chain(angles, turn, step, Q)
+        Q = attitudes(angles, turn, step)
         mid = Q + 0.5 * Q @ _skew(angles)
         mid = np.concatenate([Q[:1], Q[:-1] + (mid[1:] - Q[1:])]) if len(r) > 1 else Q
         dv = np.einsum("kij,kj->ki", mid, force)
@@ -217,6 +233,7 @@ class _Stretch:
         ``prior`` is the mean (6,) and covariance (6, 6) of the biases; the integrals are linear in the biases about those they were made with.
         """
         information = np.zeros((SIZE, SIZE))
+        information[6:9, 6:9] = np.eye(3) / np.pi**2  # no angle is less certain than half a turn
         information[9:15, 9:15] = np.linalg.inv(prior[1])
         information[15:, 15:] = np.diag((DRIFT_S / np.nanmin(self.place_sigma, axis=0)) ** 2)
         best: _Fit | None = None
@@ -400,7 +417,7 @@ def align_in_motion(
     fixes = known.rows(good)
     quiet = quiet_stretches(imu, gnss)
     prior = _bias_prior(quiet)
-    noise = _white_noise(r)
+    noise = white_noise(r)
     arm = np.asarray(lever_arm, dtype=np.float64)
     said = "fewer than five fixes after the first motion"
     for start in _moves_from(fixes):
@@ -429,7 +446,7 @@ def _bias_prior(quiet: list[Quiet]) -> tuple[Array, Array]:
     return mean, covariance
 
 
-def _white_noise(r: ImuRecord) -> tuple[float, float]:
+def white_noise(r: ImuRecord) -> tuple[float, float]:
     """Densities of the white noise of gyroscopes and accelerometers (vibration included), from what is fastest in a record."""
     second = np.diff(r.rates()[1:], n=2, axis=0)
     sigma = 1.4826 * np.median(np.abs(second), axis=0) / np.sqrt(6.0)
@@ -498,8 +515,8 @@ def _refined(
         sigma=InitialSigma(
             sd[:3], np.maximum(sd[3:6], LEAST_VELOCITY), np.maximum(sd[6:9], [LEAST_TILT, LEAST_TILT, LEAST_HEADING])
         ),
-        gyro_bias=run.imu_states[k, :3],
-        gyro_bias_sigma=sd[9:12],
+        bias=run.imu_states[k],
+        bias_sigma=sd[9:15],
         standstill=(),
     )
 

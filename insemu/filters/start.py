@@ -12,6 +12,7 @@ from insemu.errors import InputError
 from insemu.filters.alignment import Alignment, align
 from insemu.filters.motion import align_in_motion
 from insemu.filters.options import InitialSigma
+from insemu.filters.two_way import from_both_sides
 from insemu.records import GnssRecord, ImuRecord, InitialState
 from insemu.strapdown import NavState
 
@@ -33,7 +34,7 @@ def at_state(imu: ImuRecord, known: InitialState) -> Alignment:
         )
     llh = earth.move(known.llh, known.vel_ned * (imu.t[row] - known.t))
     sigma = InitialSigma(known.sigma[:3], known.sigma[3:6], known.sigma[6:])
-    nothing = np.full(3, np.nan)
+    nothing = np.full(6, np.nan)
     state = NavState(llh, np.array(known.vel_ned), np.array(known.rpy))
     return Alignment(float(imu.t[row]), row, state, sigma, nothing, nothing, ())
 
@@ -57,7 +58,8 @@ def start(
         With velocities, or positions alone.
     how : {"auto", "rest", "motion"}
         ``rest``: level and gyroscope bias at a stop, heading from the first course. ``motion``: from the fixes while the vehicle moves, mounted
-        anyhow. ``auto``: in motion where that tells the heading, else by the course.
+        anyhow. ``auto``: in motion where that tells the heading, and from there back to the first fix (:mod:`~insemu.filters.two_way`);
+        else by the course.
     known : InitialState, optional
         Of the IMU record's axes; ``auto`` starts there.
     lever_arm : (3,)
@@ -74,12 +76,18 @@ def start(
         return at_state(imu, known)
     if how == "rest":
         found = align(imu, gnss, lever_arm=lever_arm)
-        if np.isnan(found.gyro_bias).any():
+        if np.isnan(found.bias[:3]).any():
             raise InputError("found no rest before the first motion, expected one to align at; 'motion' does without")
         return found
     try:
-        return align_in_motion(imu, gnss, lever_arm=lever_arm, gravity=gravity)
-    except InputError:
+        found = align_in_motion(imu, gnss, lever_arm=lever_arm, gravity=gravity)
+    except InputError as error:
         if how == "motion":
             raise
-    return align(imu, gnss, lever_arm=lever_arm)  # too little motion for the fixes; the course may do
+        try:
+            return align(imu, gnss, lever_arm=lever_arm)  # too little motion for the fixes; the course may do
+        except InputError as other:
+            raise InputError(f"{error.message}; by its course: {other.message}") from None
+    if how == "motion":
+        return found
+    return from_both_sides(imu, gnss, found, lever_arm=np.asarray(lever_arm, dtype=np.float64), gravity=gravity)

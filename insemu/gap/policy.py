@@ -170,9 +170,6 @@ class Policy:
     colour_sizes: tuple[float, float] = _decides((0.1, 30.0), "1", "one", "Slow errors of the fixes over their stated standard deviation.")
     nis_left: float = _decides(0.75, "1", "foreign", "Share of its variance that a NIS keeps: a level of two components follows neither.")
     statistic_left: float = _decides(0.1, "1", "rest-map", "Share of its variance that any other statistic keeps of what a fit follows.")
-    heading_speed: float = _decides(3.0, "m/s", "tests-drive", "Speed below which a track or a velocity says nothing of the heading.")
-    start_tilt: float = _decides(0.035, "rad", "tests-drive", "Least uncertainty of a start that is levelled in motion.")
-    start_heading: float = _decides(0.09, "rad", "tests-drive", "Least uncertainty of a start headed along the track.")
     # -- settled before the search --------------------------------------------------------------------------------------------------
     offset_largest_s: float = _decides(0.6, "s", "real-drives", "Largest time offset that is tried; loggers further off are so by seconds.")
     offset_least_s: float = _decides(0.03, "s", "tests-refined", "A smaller one is left to the search, where it is linear.")

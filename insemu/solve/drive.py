@@ -114,7 +114,7 @@ class Drive:
 
     def flown(self, ekf: LooselyCoupledEKF) -> tuple[ImuRecord, GnssRecord]:
         """IMU from the start on, less the bias that a filter does not know better, and the fixes after the start."""
-        imu = cut(self.imu, self.aligned, ekf.augmentation.turn_on_sigma()[:3])
+        imu = cut(self.imu, self.aligned, ekf.augmentation.turn_on_sigma())
         return imu, self.gnss.rows(self.gnss.t > self.aligned.t)
 
 

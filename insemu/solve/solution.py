@@ -208,12 +208,12 @@ class Solution(Shown):
     def biases(self) -> dict[str, tuple[float, float, float]]:
         """Of every axis the bias at the end, its standard deviation, and the part that was taken off before the filter began, rad/s or m/s^2."""
         aug = self.taken.candidate.filter(self.drive).augmentation
-        before = dict(zip(AXES, self.drive.aligned.bias_beyond(aug.turn_on_sigma()[:3]), strict=False))
+        before = dict(zip(AXES, self.drive.aligned.bias_beyond(aug.turn_on_sigma()), strict=True))
         x, P = self.smoothed.imu_states[-1], self.smoothed.covariance[-1, 9:, 9:]
         out: dict[str, tuple[float, float, float]] = {}
         for k, a in enumerate(AXES):
             c = np.where((aug.axis == k) & (aug.driver < 0), aug.c, 0.0)
-            off = float(before[a]) if a in before else 0.0
+            off = float(before[a])
             out[a] = (off + float(c @ x), float(np.sqrt(max(float(c @ P @ c), 0.0))), off)
         return out
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from insemu import rotation
 from insemu.effects import EFFECTS, EffectUse
+from insemu.filters import TRACK_SPEED
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.drive.preparation import Prepared, fast_parts, prepare
 from insemu.gap.evidence.linear import log_mean_exp
@@ -59,7 +60,7 @@ class Sideways:
         k = result.fixes.epoch[result.fixes.accepted]
         C = rotation.dcm_from_quaternion(result.nav[k, 6:10])
         u = np.einsum("nji,nj->ni", C, result.nav[k, 3:6])
-        keep = (np.linalg.norm(u, axis=1) > rules().heading_speed) & (u[:, 0] > 0.5 * np.linalg.norm(u, axis=1))
+        keep = (np.linalg.norm(u, axis=1) > TRACK_SPEED) & (u[:, 0] > 0.5 * np.linalg.norm(u, axis=1))
         imu = prepared.imu.as_increments()
         dt = imu.dt
         width = max(1, round(0.2 / dt))

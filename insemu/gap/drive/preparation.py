@@ -14,11 +14,9 @@ from insemu.filters import (
     FilterResult,
     FixTable,
     InitialSigma,
-    StartBelief,
-    first_track,
     on_reference,
-    on_track,
     run_filter,
+    start,
 )
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.data.log import Reduced, moving_spectra
@@ -31,7 +29,7 @@ from insemu.gap.evidence.surrogate import PLAIN, FixNoise, Surrogate
 from insemu.gap.policy import rules
 from insemu.noise import BI, WN, NoiseModel, Process
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
-from insemu.rotation import dcm_from_rpy
+from insemu.rotation import dcm_from_rpy, rpy_from_dcm
 from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
@@ -390,39 +388,36 @@ def fitted_levels(prepared: Prepared, white: Array, s: Surrogate, *, back: bool 
 
 
 def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, GnssRecord, NavState, InitialSigma]:
-    """Where the filter starts: on the reference where there is one, else levelled, on the fixes, headed along the track.
+    """Where the filter starts: on the reference where there is one, else as every filter on recorded data does (:func:`insemu.filters.start`).
 
-    Without a reference the recording is cut to begin where the speed over ground first tells the heading (recorded, or of a parabola through the
-    positions), and the start is as uncertain as what it comes from; a vehicle that crabs or carries an angle of attack is off by degrees.
+    A start on a reference is as uncertain as the nominal model says, any other at least so.
+
+    Raises
+    ------
+    InputError
+        No way to start, or an IMU upside down in the attitudes of the reference.
     """
-    imu, gnss = recording.imu, recording.gnss
+    imu, gnss, own = recording.imu, recording.gnss, nominal.initial.sigma
     assert gnss is not None
-    own = nominal.initial
-    believed = StartBelief(
-        own.position_sigma,
-        own.velocity_sigma,
-        own.tilt_sigma,
-        own.heading_sigma,
-        nominal.gnss.lever_arm,
-        nominal.mounting,
-        rules().start_tilt,
-        rules().start_heading,
-    )
     if recording.reference is not None:
-        imu, state, sigma = on_reference(imu, recording.reference, believed)
+        imu, state = on_reference(imu, recording.reference)
         _check_upright(imu, recording.reference, recording.source)
-        return imu, gnss, state, sigma
+        return imu, gnss, state, own
     # velocities that are not believed still tell the way
     fixed = replace(with_sigma(gnss, nominal), vel_ned=gnss.vel_ned)
-    inside = (gnss.t > imu.t[0] + 1.0) & (gnss.t < imu.t[-1] - 60.0) & np.isfinite(gnss.llh).all(axis=1)
-    track = first_track(fixed, inside, rules().heading_speed)
-    if track is None:
-        raise InputError(
-            f"never moves faster than {rules().heading_speed:g} m/s over ground, expected a stretch that tells the heading",
-            where=recording.source,
-        )
-    imu, state, sigma = on_track(imu, fixed, track, believed)
-    return imu, gnss, state, sigma
+    C = dcm_from_rpy(np.array(nominal.mounting))
+    turned = replace(imu, gyro=imu.gyro @ C.T, accel=imu.accel @ C.T)
+    known = recording.initial
+    if known is not None:
+        known = replace(known, rpy=rpy_from_dcm(dcm_from_rpy(known.rpy) @ C.T))
+    try:
+        found = start(turned, fixed, known=known, lever_arm=C @ np.array(nominal.gnss.lever_arm))
+    except InputError as error:
+        raise InputError(error.message, where=recording.source) from None
+    state = replace(found.state, rpy=rpy_from_dcm(dcm_from_rpy(found.state.rpy) @ C))
+    sigma = found.sigma.to_array()
+    sigma[:6], sigma[6:] = np.hypot(sigma[:6], own.to_array()[:6]), np.maximum(sigma[6:], own.to_array()[6:])
+    return imu.rows(slice(found.row, None)), gnss, state, InitialSigma(sigma[:3], sigma[3:6], sigma[6:])
 
 
 def _check_upright(imu: ImuRecord, reference: Trajectory, source: str) -> None:
