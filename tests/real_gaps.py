@@ -27,7 +27,7 @@ def belief(name: str, after: str) -> str:
 
 def cases(folder: Path) -> dict[str, Path]:
     """What is believed of each recording: the file, made in ``folder`` where a page shows it."""
-    car, own = belief("gap.md", "The key `vehicle` says"), "real_recordings.md"
+    car, own = belief("gap.md", "The key `vehicle` states"), "real_recordings.md"
     at_rest = belief(own, "## ADIS16405 at rest")
     shown = {
         "rtkexp_drive": car,

@@ -192,25 +192,13 @@ def fit(
 
 def _fit_robust(series: Series, asked: NoiseModel, options: dict[str, Any]) -> FitResult:
     from insemu.fit.gmwm import fit_curve
-    from insemu.fit.robust import cleaned_curve
+    from insemu.fit.robust import EFFICIENCY, cleaned_curve
 
-    wanted = {"efficiency": options["efficiency"]} if "efficiency" in options else {}
-    cleaned = cleaned_curve(series.values, series.rate_hz, **wanted)
-    curve = cleaned.curve
-    given = options | {"efficiency": curve.efficiency}
-    if (
-        cleaned.outlier_variance > 0
-        and options.get("widths") is None
-        and options.get("weighting", "auto") in ("auto", "intervals")
-    ):
-        # scales from which a large part was taken off know less
-        given["widths"] = curve.high - curve.low
-    result = fit_curve(curve, asked, unit=series.unit, name=series.name, **given)
-    if cleaned.outlier_variance > 0:
-        share = cleaned.outlier_variance**0.5
-        note = f"the record has outliers, which add {share:.3g} to the root mean square of a sample; they were rejected or taken off"
-        result = replace(result, warnings=(*result.warnings, note))
-    return result
+    efficiency = float(options.pop("efficiency", EFFICIENCY))
+    cleaned = cleaned_curve(series, asked, efficiency)
+    result = fit_curve(cleaned.curve, asked, unit=series.unit, name=series.name, **options)
+    details = result.details | {"robust_efficiency": efficiency, "outliers": cleaned.outliers}
+    return replace(result, warnings=(*result.warnings, cleaned.outliers.note(series.rate_hz)), details=details)
 
 
 def as_series(signal: Series | ArrayLike, rate_hz: float | None, unit: str | None, name: str | None) -> Series:

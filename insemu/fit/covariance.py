@@ -93,4 +93,7 @@ def covariance_of_curve(model: NoiseModel, curve: WaveletVariance, scale_samples
     if curve.inflation is not None:
         larger = np.sqrt(curve.inflation[np.searchsorted(curve.scale_samples, scale)])
         out = out * np.outer(larger, larger)
+    if curve.white_scatter > 0:
+        share = 1.0 / scale.astype(float)  # wavelet variance of white noise of unit variance (Haar)
+        out = out + curve.white_scatter * np.outer(share, share)
     return out

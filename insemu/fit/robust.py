@@ -1,28 +1,81 @@
-"""The curve that a robust fit uses: outliers rejected where they can be, counted and taken off where they cannot.
+"""The curve that a robust fit uses: samples that the model cannot explain count as missing, and what that does to the curve is taken back.
 
-At short scales the biweight estimate of :mod:`insemu.variance.robust` drops the coefficients that an outlier touches. At scale 2^j an
-outlier touches 2^j of them, so that with one bad sample in a hundred every coefficient of 128 samples is touched and nothing can be
-dropped. But isolated outliers are white: what they add to the plain curve is a constant over the scale, and that constant is the difference
-between the plain and the robust estimate at the shortest scales. Longer scales are therefore the plain estimate less that part.
+An outlier touches one sample, but 2^j coefficients of scale 2^j: with one bad sample in a hundred no coefficient of 128 samples is clean, and an
+M-estimator of a scale has nothing left to reject. So samples are rejected, each once: those whose residual, predicted by all other samples under
+the fitted model (leave-one-out, by the smoother), exceeds ``c`` standard deviations. The wavelet variance of the others is that of a record with
+missing samples. ``c`` gives the estimate of the white noise the efficiency asked for with Gaussian data.
+
+Two things bias that curve, both as white noise does: large values of clean samples are rejected too, and small outliers remain. How often outliers
+of each size occur is estimated from the residuals (the nonparametric maximum likelihood of a mixture of amplitudes, Kiefer and Wolfowitz 1956);
+a signal drawn from the fitted model, with outliers drawn from that, is treated in the same way, and what the treatment changes in its curve is
+added (indirect inference, as in Stebler et al. 2014, equation (29)). Model, rejection and correction are renewed in turns.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+import scipy  # whose parts are imported when they are used
+from numpy.typing import NDArray
 
-from insemu.variance import RobustWaveletVariance, chi_square_interval, eta3, robust_wavelet_variance, wavelet_variance
+from insemu.errors import InputError
+from insemu.fit.gmwm import fit_curve
+from insemu.noise import NoiseModel, StateBlock
+from insemu.records import Series
+from insemu.statespace import smooth
+from insemu.variance import WaveletVariance, wavelet_variance
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
-#: Octaves whose robust estimate is taken as it is, and from which the outliers' white part is read.
-SHORT = 2
-#: Efficiency of the robust estimate where none is asked for.
+#: Efficiency of the estimate of white noise with Gaussian data, where none is asked for.
 EFFICIENCY = 0.6
-#: What remains of a scale after the outliers' part is taken off counts at least this share of it.
+#: Samples that are smoothed in one piece, and the longest signal that is drawn for the correction.
+PIECE = 1 << 17
+#: Amplitudes of outliers, in standard deviations of the residual. Below the first an outlier cannot be told from noise.
+AMPLITUDES = 2.5 * 1.25 ** np.arange(16)
+#: Octaves in which the correction is measured; in longer ones it is white noise and falls with the scale.
+MEASURED = 5
+#: Times that model, rejection and correction are renewed, and signals that are drawn each time.
+ROUNDS, DRAWS = 3, 2
+#: Before a model is known: samples further than this many standard deviations from the median of their nearest nine.
+FAR = 4.5
+#: How far the number of outliers too small to be seen may be from what the smallest visible ones suggest, as a share of it.
+UNSEEN = 0.15
+#: What remains of a scale after a correction is at least this share of it.
 LEAST = 0.02
+
+
+@dataclass(frozen=True)
+class Outliers:
+    """Outliers of a record, as its residuals under the fitted model show them.
+
+    Parameters
+    ----------
+    share : float
+        Estimated share of samples that are outliers of more than ``AMPLITUDES[0]`` standard deviations.
+    rejected : (n,) bool array
+        Samples that the curve leaves out.
+    root_mean_square : float
+        Of the estimated outliers, in the unit of the signal; 0 where there are none.
+    """
+
+    share: float
+    rejected: Mask
+    root_mean_square: float
+
+    def note(self, rate_hz: float) -> str:
+        """What a reader of the fit is told."""
+        start = int(np.argmax(np.convolve(self.rejected, np.ones(max(self.rejected.size // 20, 1)), "valid")))
+        length = max(self.rejected.size // 20, 1)
+        there = float(self.rejected[start : start + length].mean())
+        return (
+            f"{self.share:.2%} of the samples are outliers, of {self.root_mean_square:.3g} root mean square; {self.rejected.mean():.2%} were "
+            f"rejected, most of them ({there:.2%}) from {start / rate_hz:.4g} to {(start + length) / rate_hz:.4g} s"
+        )
 
 
 @dataclass(frozen=True)
@@ -31,47 +84,188 @@ class CleanedCurve:
 
     Parameters
     ----------
-    curve : RobustWaveletVariance
-        Robust at short scales, plain less the outliers' part at longer ones.
-    outlier_variance : float
-        Variance per sample that the outliers add; 0 where the record has no heavy tails.
+    curve : WaveletVariance
+        Of the samples that are kept, corrected; its ``white_scatter`` is what the rejection costs.
+    outliers : Outliers
     """
 
-    curve: RobustWaveletVariance
-    outlier_variance: float
+    curve: WaveletVariance
+    outliers: Outliers
 
 
-def cleaned_curve(x: ArrayLike, rate_hz: float, efficiency: float = EFFICIENCY) -> CleanedCurve:
-    """Return the wavelet variance of what remains without isolated outliers.
+def _efficiency(c: float) -> float:
+    """Efficiency of the variance of Gaussian values within ``c`` standard deviations: Huber's formula for an M-estimator of scale."""
+    density = math.exp(-0.5 * c * c) / math.sqrt(2.0 * math.pi)
+    inside = 2.0 * float(scipy.special.ndtr(c)) - 1.0
+    second = inside - 2.0 * c * density
+    fourth = 3.0 * inside - 2.0 * (c**3 + 3.0 * c) * density
+    k = second / inside
+    slope = 2.0 * second - 2.0 * c * density * (c * c - k)
+    return 0.5 * slope**2 / (fourth - 2.0 * k * second + k * k * inside)
+
+
+@lru_cache(maxsize=32)
+def rejection_limit(efficiency: float) -> float:
+    """Return the limit in standard deviations beyond which samples are rejected.
 
     Parameters
     ----------
-    x : (n,) array
-    rate_hz : float
     efficiency : float
-        Of the robust estimate with Gaussian data, where the record has outliers; one without keeps full efficiency.
+        Of the estimated variance of white noise with Gaussian data, 0.4 (most robust) to 0.99.
 
     Raises
     ------
     InputError
-        As :func:`insemu.variance.robust_wavelet_variance`.
+        An efficiency outside that range.
+
+    Examples
+    --------
+    >>> round(rejection_limit(0.6), 2)
+    2.39
     """
-    robust = robust_wavelet_variance(x, rate_hz, efficiency=efficiency)
-    if not robust.contaminated or len(robust) <= SHORT:
-        return CleanedCurve(robust, 0.0)
-    plain = wavelet_variance(x, rate_hz, intervals="eta3", levels=len(robust))
-    scale = robust.scale_samples.astype(float)
-    # 2^j times the surplus is the same at every scale; the shortest know it best
-    added = float(np.mean((scale * (plain.value - robust.value))[:SHORT]))
-    if added <= 0.0:
-        return CleanedCurve(robust, 0.0)
-    surplus = added / scale
-    value = np.where(
-        np.arange(scale.size) < SHORT, robust.value, np.maximum(plain.value - surplus, LEAST * plain.value)
-    )
-    # the part taken off has the scatter of the plain curve, which is that much wider relative to what is left
-    freedom = eta3(scale, robust.n_samples)
-    long = np.arange(scale.size) >= SHORT
-    freedom[long] = np.maximum(freedom[long] * (value[long] / plain.value[long]) ** 2, 1.0)
-    low, high = chi_square_interval(value, freedom, robust.confidence)
-    return CleanedCurve(replace(robust, value=value, low=low, high=high, edof=freedom), added)
+    if not 0.4 <= efficiency <= 0.99:
+        raise InputError(f"efficiency is {efficiency}, expected 0.4 to 0.99")
+    return float(scipy.optimize.brentq(lambda c: _efficiency(c) - efficiency, 1.0, 6.0))
+
+
+class _Prediction:
+    """Every sample from all others under a model."""
+
+    def __init__(self, model: NoiseModel, dt: float, first: float) -> None:
+        block = model.block(dt)
+        # a model without white noise predicts a sample by its neighbours exactly; a thousandth of its shortest scatter stands in
+        self.white = block.white if block.white > 0 else 1e-3 * first
+        self.block: StateBlock = replace(block, white=self.white, P0=block.P0 + 1e4 * first * np.eye(block.n))
+        of_sample = 0.0
+        if block.n:
+            impulse = np.zeros(4097)
+            impulse[2048] = 1.0
+            of_sample = float(self._mean(impulse)[2048])
+        # smoothed mean m = a y + (others): the others predict (m - a y) / (1 - a)
+        self.share = min(of_sample, 1.0 - 1e-9)
+        self.deviation = math.sqrt(self.white / (1.0 - self.share))
+
+    def _mean(self, y: Array) -> Array:
+        pieces = [y[k : k + PIECE] for k in range(0, y.size, PIECE)]
+        return np.concatenate([smooth(self.block, part).mean @ self.block.c for part in pieces])
+
+    def rejected(self, y: Array, begin: Mask, limit: float) -> tuple[Array, Mask]:
+        """Residuals in standard deviations and the samples beyond a limit, predicted without these."""
+        out = begin
+        predicted = np.full(y.size, float(np.mean(y[~out])) if not out.all() else 0.0)
+        for _ in range(3):
+            for _ in range(3 if self.block.n else 1):
+                if self.block.n:
+                    whole = np.where(out, predicted, y)
+                    predicted = whole + (self._mean(whole) - whole) / (1.0 - self.share)
+                else:
+                    predicted[:] = np.mean(y[~out])
+            residual = (y - predicted) / self.deviation
+            before, out = out, np.abs(residual) > limit
+            if np.mean(out != before) < 2e-4:
+                break
+        return residual, out
+
+
+def _amplitudes(residual: Array) -> tuple[Array, float]:
+    """Shares of samples without outlier and with one of each of :data:`AMPLITUDES`, and the standard deviation of the former."""
+    size = np.abs(residual)
+    edges = np.concatenate([np.arange(0.0, 10.0, 0.05), np.geomspace(10.0, max(float(size.max()), 10.0) + 1.0, 60)])
+    count = np.histogram(size, edges)[0].astype(float)
+    squares = (edges[1:] ** 2 + edges[1:] * edges[:-1] + edges[:-1] ** 2) / 3.0
+    amplitude = np.concatenate([[0.0], AMPLITUDES])
+    shares = np.concatenate([[0.97], np.full(AMPLITUDES.size, 0.03 / AMPLITUDES.size)])
+    deviation = float(np.median(size)) / 0.6744897501960817
+    for _ in range(40):
+        scaled, centre = edges[:, None] / deviation, amplitude[None, :]
+        below = scipy.special.ndtr(scaled - centre) - scipy.special.ndtr(-scaled - centre)
+        chance = np.diff(below, axis=0) + 1e-300
+        for _ in range(5):
+            parts = chance * shares
+            parts *= (count / parts.sum(axis=1))[:, None]
+            shares = parts.sum(axis=0) / count.sum()
+        core, expected = parts[:, 0], chance[:, 0]
+        deviation *= math.sqrt(float((core @ squares) / core.sum() / ((expected @ squares) / expected.sum())))
+    return shares, deviation
+
+
+def _unseen(shares: Array) -> float:
+    """Share of outliers below the first amplitude: as many for each unit of size as among the smallest three that are seen."""
+    width = AMPLITUDES[2] * math.sqrt(1.25) - AMPLITUDES[0] / math.sqrt(1.25)
+    return float(shares[1:4].sum() / width * AMPLITUDES[0])
+
+
+def _drawn(shares: Array, deviation: float, n: int, rng: np.random.Generator) -> Array:
+    """Outliers of ``n`` samples, most of them zero, in standard deviations of the residual."""
+    chance = np.concatenate([shares, [_unseen(shares)]])
+    chance[0] = max(chance[0] - chance[-1], 0.0)
+    size = np.concatenate([[0.0], AMPLITUDES, [AMPLITUDES[0]]])
+    which = rng.choice(size.size, n, p=chance / chance.sum())
+    spread = np.where(which == size.size - 1, rng.random(n), 1.0)
+    return np.asarray(size[which] * spread * deviation * np.sign(rng.standard_normal(n)))
+
+
+def cleaned_curve(series: Series, model: NoiseModel, efficiency: float = EFFICIENCY) -> CleanedCurve:
+    """Return the wavelet variance of a record without its outliers.
+
+    Parameters
+    ----------
+    series : Series
+        Complete.
+    model : NoiseModel
+        Structure whose fit predicts the samples; parameters that have a value are held.
+    efficiency : float
+        Of the estimate of white noise with Gaussian data, 0.4 (most robust) to 0.99.
+
+    Raises
+    ------
+    InputError
+        A record with missing samples; as :func:`insemu.fit.gmwm.fit_curve`; an efficiency outside its range.
+    """
+    limit = rejection_limit(float(efficiency))
+    x, rate, dt = series.complete("the robust wavelet variance").values, series.rate_hz, 1.0 / series.rate_hz
+    y = x - np.median(x)
+    step = y - scipy.ndimage.median_filter(y, 9, mode="nearest")
+    deviation = float(np.median(np.abs(step))) / 0.6744897501960817 or float(np.std(step))
+    out = np.abs(step) > FAR * deviation
+    curve = _kept(y, out, rate)
+    fitted = fit_curve(curve, model).model
+    for _ in range(ROUNDS):
+        prediction = _Prediction(fitted, dt, float(curve.value[0]))
+        residual, out = prediction.rejected(y, out, limit)
+        shares, core = _amplitudes(residual)
+        kept = _kept(y, out, rate)
+        change = _change(prediction, fitted, shares, core, limit, min(y.size, PIECE), dt)[: len(kept)]
+        scale = kept.scale_samples.astype(float)
+        added = change[-1] * scale[change.size - 1] / scale
+        added[: change.size] = change
+        value = np.maximum(kept.value + added, LEAST * kept.value)
+        ratio = value / kept.value
+        unit = prediction.deviation**2
+        scatter = (1.0 / efficiency - 1.0) * 2.0 * unit**2 / y.size
+        scatter += (UNSEEN * _unseen(shares) * AMPLITUDES[0] ** 2 / 3.0 * unit) ** 2
+        curve = replace(kept, value=value, low=kept.low * ratio, high=kept.high * ratio, white_scatter=scatter)
+        fitted = fit_curve(curve, model).model
+    seen = shares[1:]
+    mean_square = float(seen @ AMPLITUDES**2 / seen.sum()) if seen.sum() > 0 else 0.0
+    size = math.sqrt(mean_square) * core * prediction.deviation
+    return CleanedCurve(curve, Outliers(float(seen.sum()), out, size))
+
+
+def _kept(y: Array, out: Mask, rate: float, levels: int | None = None) -> WaveletVariance:
+    return wavelet_variance(np.where(out, np.nan, y), rate, gaps=True, levels=levels)
+
+
+def _change(
+    prediction: _Prediction, model: NoiseModel, shares: Array, core: float, limit: float, n: int, dt: float
+) -> Array:
+    """What the treatment takes from the curve of a signal drawn from the model, octave by octave."""
+    found = []
+    for k in range(DRAWS):
+        rng = np.random.default_rng(k)  # the same numbers each time, so that the rounds converge
+        clean = model.simulate(n, dt, rng)
+        outliers = _drawn(shares, core, n, rng) * prediction.deviation
+        _, out = prediction.rejected(clean + outliers, outliers != 0.0, limit)
+        kept = _kept(clean + outliers, out, 1.0 / dt, MEASURED)
+        found.append(wavelet_variance(clean, 1.0 / dt, levels=len(kept)).value - kept.value)
+    return np.asarray(np.mean(found, axis=0))

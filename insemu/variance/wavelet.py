@@ -62,6 +62,8 @@ class WaveletVariance:
         Samples that are missing; None of a complete record.
     inflation : (J,) array, optional
         Variance of ``value`` over that of a complete record of as many samples; None of a complete record.
+    white_scatter : float
+        Variance (unit^4) of the white part of the signal beyond that of a record of as many samples: what rejecting outliers costs.
     """
 
     scale_samples: NDArray[np.int64]
@@ -79,6 +81,7 @@ class WaveletVariance:
     confidence: float = 0.95
     lost: NDArray[np.bool_] | None = None
     inflation: Array | None = None
+    white_scatter: float = 0.0
 
     def __len__(self) -> int:
         return len(self.value)
