@@ -207,6 +207,7 @@ _lane_by_lane(abs, 1, lanes, _called(f"llvm.fabs.v{LANES}f64"))
 _lane_by_lane(math.sqrt, 1, lanes, _called(f"llvm.sqrt.v{LANES}f64"))
 _lane_by_lane(math.isfinite, 1, mask, _finite)
 _lane_by_lane(math.atan2, 2, lanes, _one_by_one("atan2"))
+_lane_by_lane(math.expm1, 1, lanes, _one_by_one("expm1"))
 for _function in ("sin", "cos", "exp", "log"):
     _lane_by_lane(getattr(math, _function), 1, lanes, _called(f"llvm.{_function}.v{LANES}f64"))
 

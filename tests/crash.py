@@ -31,6 +31,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.trial.__main__ import app as trial
 from insemu import cli, scenario
 from insemu.evaluate.folder import MARKER
 from insemu.evaluate.provenance import CRATE
@@ -44,10 +45,7 @@ COMMANDS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "run": ("run s.yaml --output out --workers 1", ("out",)),
     "compare --analytic": ("compare s.yaml --analytic --output out", ("out",)),
     "regress record": ("regress record s.yaml --baseline base.json --workers 1", ("base.json",)),
-    "gap-trial": (
-        "gap-trial --recordings 3 --kind static --log-length 12min --no-hold-out --output log.jsonl",
-        ("log.jsonl",),
-    ),
+    "trial": ("trial --recordings 3 --kind static --log-length 12min --no-hold-out --output log.jsonl", ("log.jsonl",)),
     "select": ("select log.npz -g GM()+WN() -o models.yaml --page page.html --workers 1", ("models.yaml", "page.html")),
 }
 #: Text that says when and how long, in files of any kind.
@@ -86,7 +84,8 @@ def start(folder: Path, line: str, before: Callable[[], None] = lambda: None) ->
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(said):
             before()
             try:
-                cli.main(line.split())
+                command, *options = line.split()
+                cli.main(options, trial) if command == "trial" else cli.main([command, *options])
                 code = 0
             except SystemExit as ended:
                 code = ended.code or 0
@@ -285,7 +284,7 @@ def damaged(folder: Path, line: str, outputs: tuple[str, ...], rng: random.Rando
         elif data:
             data[rng.randrange(len(data))] ^= 0xFF
         path.write_bytes(data)
-    if line.startswith("gap-trial"):  # a log that was changed by hand is refused; what it says is not made up
+    if line.startswith("trial "):  # a log that was changed by hand is refused; what it says is not made up
         code = run(folder, line)
         said = _told(folder, code, may_succeed=True)
         if code == 2:
@@ -299,7 +298,7 @@ def changed_input(folder: Path, line: str, outputs: tuple[str, ...], rng: random
     prepare(folder, seed=99)
     run(folder, line, _killed_at_call(rng.randint(10, 60)))
     prepare(folder)
-    return _told(folder, run(folder, line), may_succeed=True) if not line.startswith("gap-trial") else ""
+    return _told(folder, run(folder, line), may_succeed=True) if not line.startswith("trial ") else ""
 
 
 def changed_version(folder: Path, line: str, outputs: tuple[str, ...], rng: random.Random, seconds: float) -> str:

@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.trial.expected import GAUSSIAN, Log, component
 from insemu.effects import EffectUse, having
 from insemu.gap.data.log import Reduced, block_differences, block_length
 from insemu.gap.evidence.model import Explanation, Likelihood, Regressors, fit
 from insemu.gap.evidence.modes import Free
 from insemu.noise import BI, GM, RW, Process
-from insemu.trial.expected import GAUSSIAN, Log, component
 
 Array = NDArray[np.float64]
 #: Effects that stand in for one another at the longest averaging times.

@@ -23,6 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from benchmarks.trial.drives import Stage, draw_use, stage
+from benchmarks.trial.score import interval
+from benchmarks.trial.tracks import TRACKS
+from benchmarks.trial.worth import size_effect
 from insemu.gap import find_gap
 from insemu.gap.candidates.shapes import PROCESSES, bank
 from insemu.gap.confusion import Repetitions
@@ -30,10 +34,6 @@ from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
 from insemu.gap.policy import rules
-from insemu.trial.drives import Stage, draw_use, stage
-from insemu.trial.score import interval
-from insemu.trial.tracks import TRACKS
-from insemu.trial.worth import size_effect
 
 Array = NDArray[np.float64]
 Key = tuple[str, str]

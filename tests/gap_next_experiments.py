@@ -9,9 +9,9 @@ import argparse
 
 import numpy as np
 
+from benchmarks.trial.drives import stage
 from insemu.effects import EffectUse
 from insemu.gap import NextExperiment, design, experiment_said, find_gap
-from insemu.trial.drives import stage
 
 
 def settle(recordings: int) -> NextExperiment | None:

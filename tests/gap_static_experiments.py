@@ -23,6 +23,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.trial.drives import wrong
+from benchmarks.trial.expected import GAUSSIAN, Log
+from benchmarks.trial.logs import BESIDE_NATS, STATIC_EFFECTS, HiddenLog, static_recording
+from benchmarks.trial.score import interval
 from insemu import formats
 from insemu.effects import EffectUse
 from insemu.emulate import corrupt
@@ -39,10 +43,6 @@ from insemu.gap.problems.rest import search_axis, weigh_all
 from insemu.gap.verdict import GapReport
 from insemu.noise import AR, AR1, ARMA, GM, SIN, WN, NoiseModel, Process
 from insemu.records import AXES, ImuRecord, Series
-from insemu.trial.drives import wrong
-from insemu.trial.expected import GAUSSIAN, Log
-from insemu.trial.logs import BESIDE_NATS, STATIC_EFFECTS, HiddenLog, static_recording
-from insemu.trial.score import interval
 from insemu.variance import allan_variance
 from tests.expected_leads import SLOW, leads_of, seen
 from tests.shared_data import shared

@@ -28,10 +28,10 @@ from typing import Any
 import pytest
 import yaml
 
+from benchmarks.trial.run import Trial
+from benchmarks.trial.score import score_trials
 from insemu.gap.policy import Policy, under
 from insemu.scenario.files import code_version
-from insemu.trial.run import Trial
-from insemu.trial.score import score_trials
 from insemu.work import Lines, processes, run_items
 from tests.policy_probe import FACTORS, NAMES, Probe, Watched
 from tests.scoreboard import Entry, gains_moved, read, sentences

@@ -26,10 +26,10 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from insemu.trial.drives import DYNAMIC_EFFECTS, OUTSIDE, TARGETS
-from insemu.trial.logs import STATIC_EFFECTS, STATIC_OUTSIDE, static_recording
-from insemu.trial.run import Job, Trial, moving_recording, run_trial
-from insemu.trial.score import DEFINITIONS, Score, interval, score_trials
+from benchmarks.trial.drives import DYNAMIC_EFFECTS, OUTSIDE, TARGETS
+from benchmarks.trial.logs import STATIC_EFFECTS, STATIC_OUTSIDE, static_recording
+from benchmarks.trial.run import Job, Trial, moving_recording, run_trial
+from benchmarks.trial.score import DEFINITIONS, Score, interval, score_trials
 
 FILE = Path(__file__).with_name("scoreboard.yaml")
 #: Recordings of each kind with none, one, two and three effects, and with something outside the catalogue: 120 in all.

@@ -24,10 +24,9 @@ COMMANDS = {
     "sweep": ("sweep s.yaml --over outage=[5s] --json --output NAME", ""),
     "select": ("select log.npz --general GM()+WN() --json", ""),
     "bootstrap": ("fit log.npz --model WN() --bootstrap 20 --json", ""),
-    "gap-trial": ("gap-trial --recordings 2 --kind static --effect none --log-length 12min --no-hold-out --json", ""),
 }
 #: Commands that take more than ten seconds here.
-LONG = ("compare", "gap-trial", "regress", "sweep")
+LONG = ("compare", "regress", "sweep")
 
 
 @pytest.fixture(scope="module")

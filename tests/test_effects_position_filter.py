@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks.foreign import judge
 from benchmarks.foreign.judge import drawn, taken
+from benchmarks.trial.drives import stage
 from insemu import earth
 from insemu.effects import EFFECTS, Column, EffectUse, FixGeometry, compensated, steady
 from insemu.effects.motion import acceleration_along
@@ -17,7 +18,6 @@ from insemu.gap.beliefs.refined import refined_nominal
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.signatures import Loop, columns_response
 from insemu.records import GnssRecord, Recording
-from insemu.trial.drives import stage
 
 ARM = (1.2, -0.3, 0.8)
 

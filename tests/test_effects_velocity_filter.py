@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.trial.drives import stage
 from insemu.effects import EFFECTS, EffectUse, FixGeometry, compensated
 from insemu.effects.motion import behind_low_pass
 from insemu.emulate import built_in, gnss_fixes, ideal_imu
@@ -19,7 +20,6 @@ from insemu.gap.drive.signatures import Loop, columns_response
 from insemu.gap.evidence.surrogate import Surrogate
 from insemu.gap.problems import drive_without
 from insemu.records import GnssRecord, Recording
-from insemu.trial.drives import stage
 
 
 def use(*tau: float) -> EffectUse:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.trial.drives import stage
 from insemu import earth
 from insemu.effects import EffectUse, FixGeometry, Motion, compensated
 from insemu.emulate import built_in, gnss_fixes, ideal_imu
@@ -13,7 +14,6 @@ from insemu.gap.candidates.timing import find_times
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.worth import worth_of_settled
 from insemu.records import GnssRecord, Recording
-from insemu.trial.drives import stage
 
 
 def use(**values: object) -> EffectUse:

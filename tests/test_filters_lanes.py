@@ -1,5 +1,6 @@
 """Realizations in vector lanes: the numbers of the single run, whoever flies beside whom."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -263,6 +264,7 @@ def _everything(a, b, table, out):
     room[1, 2] += x
     out[8] = room[1, 2] + room[0, 0] + lanes.zeros(a, 4)[3]
     out[9] = 1.0 if lanes.any_of(x > 5.0) else 0.0
+    out[10] = math.expm1(x) * math.log(abs(y))
 
 
 def test_lanes_do_what_numbers_do():
@@ -270,11 +272,11 @@ def test_lanes_do_what_numbers_do():
     a, b = rng.standard_normal((2, lanes.LANES))
     b[3], a[5] = a[3], np.nan
     table = np.cumsum(rng.standard_normal(11))
-    out = lanes.empty((10, lanes.LANES))
+    out = lanes.empty((11, lanes.LANES))
     assert out.ctypes.data % (8 * lanes.LANES) == 0
     _everything(lanes.stacked([[v] for v in a]), lanes.stacked([[v] for v in b]), table, lanes.lanes_of(out))
     for k in range(lanes.LANES):
-        one = np.empty(10)
+        one = np.empty(11)
         _everything(a[k : k + 1], b[k : k + 1], table, one)
         if np.isnan(a[k]):
             one[6] = out[6, k]  # a place in a table that is none

@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks.foreign import judge, sensors
 from benchmarks.foreign.judge import drawn, taken
+from benchmarks.trial.run import Job
 from insemu.effects import Column, EffectUse, effect_of
 from insemu.gap import applied, find_gap, find_static_gap
 from insemu.gap.beliefs.refined import refined_nominal, uses_of
@@ -28,7 +29,6 @@ from insemu.gap.problems.drive import DriveProblem
 from insemu.gap.problems.together import left
 from insemu.noise import WN, NoiseModel
 from insemu.records import Series
-from insemu.trial.run import Job
 
 NOISE, RATE = 1e-3, 20.0
 

@@ -9,18 +9,17 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from benchmarks.trial.drives import Stage, stage
 from insemu import earth
 from insemu.cli.gap_check import _tell
 from insemu.effects import EffectUse
 from insemu.errors import InputError
-from insemu.gap import Nominal
+from insemu.gap import Nominal, predictive
 from insemu.gap.drive import Flown
+from insemu.gap.predictive import Check, OutageErrors, Statistic, check, kept, motion_of, outage_errors, twin_of
 from insemu.gap.worth import white_levels
 from insemu.records import Recording
 from insemu.report import render_check
-from insemu.trial import predictive
-from insemu.trial.drives import Stage, stage
-from insemu.trial.predictive import Check, OutageErrors, Statistic, check, kept, motion_of, outage_errors, twin_of
 
 
 @pytest.fixture(scope="module")

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.trial.drives import stage
 from insemu.effects import EffectUse
 from insemu.gap import Nominal
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import SHARES, Scene
 from insemu.gap.evidence.linear import Block
 from insemu.scenario import Gnss
-from insemu.trial.drives import stage
 from tests.test_gap_dynamic import BELIEF, LEVER, recording, use
 from tests.test_gap_fixes import SIGMA, looked, with_outliers
 

@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import butter, group_delay, lfilter, sosfilt
 
+from benchmarks.trial.run import Job
 from insemu import earth
 from insemu.effects import EFFECTS, EffectUse, FixGeometry, Motion, catalogue_columns, effect_of
 from insemu.emulate import built_in, corrupt, gnss_fixes, ideal_imu
@@ -54,7 +55,6 @@ from insemu.lost import filled
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Gnss, Initial
-from insemu.trial.run import Job
 from insemu.work import processes
 
 Array = NDArray[np.float64]

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.trial.drives import stage
 from insemu.cli import main
 from insemu.effects import EffectUse
 from insemu.emulate import VEHICLES, read_waypoints, route
@@ -16,7 +17,6 @@ from insemu.gap import GapReport, Interval, design, experiment_said, write_exper
 from insemu.gap.experiment import joined_up, primitives
 from insemu.gap.verdict import Finding, Member, Value
 from insemu.scenario import load
-from insemu.trial.drives import stage
 
 HOME = np.array([0.8, 0.1, 300.0])
 NONE = Interval(float("nan"), float("nan"), float("nan"))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from benchmarks.trial.drives import stage
 from insemu.gap.candidates import AxisState
 from insemu.gap.checks.drive import drive_map, innovation_tests, largest_p, regression_p
 from insemu.gap.checks.rest import Entry, corrected
@@ -17,7 +18,6 @@ from insemu.gap.evidence.model import Likelihood, fit
 from insemu.gap.problems.known import starting_explanation
 from insemu.gap.verdict import Finding, Member, judged
 from insemu.records import Recording
-from insemu.trial.drives import stage
 
 
 @functools.cache

@@ -13,6 +13,7 @@ import pytest
 import yaml
 from scipy.signal import butter, lfilter
 
+from benchmarks.trial.drives import stage
 from insemu import rotation
 from insemu.effects import EFFECTS, EffectUse, joined
 from insemu.errors import InputError
@@ -44,7 +45,6 @@ from insemu.report.gap import (
     render_gap,
 )
 from insemu.scenario import load
-from insemu.trial.drives import stage
 
 NOMINAL = """
 title: nominal

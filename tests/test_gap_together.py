@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.trial.drives import stage
 from insemu.gap import Finding, Nominal
 from insemu.gap.beliefs.refined import uses_of
 from insemu.gap.evidence.fixes import NED
@@ -17,7 +18,6 @@ from insemu.gap.problems.known import both_told, struck_out
 from insemu.gap.problems.together import left
 from insemu.gap.verdict import Value
 from insemu.records import Recording
-from insemu.trial.drives import stage
 
 #: What is hidden, with what the first look took it for.
 HIDDEN = (

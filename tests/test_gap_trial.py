@@ -12,6 +12,21 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
+from benchmarks.trial.drives import DYNAMIC_EFFECTS, OUTSIDE, draw_use, stage
+from benchmarks.trial.expected import Log, sized, trace_of_ratio
+from benchmarks.trial.hidden import Hidden
+from benchmarks.trial.logs import STATIC_EFFECTS, shape, static_recording
+from benchmarks.trial.run import (
+    Job,
+    Plan,
+    Said,
+    Trial,
+    known_effects,
+    run_trial,
+)
+from benchmarks.trial.score import confusion, held_out_ratio, interval, mean_class_size, score_trials
+from benchmarks.trial.tracks import TRACKS
+from benchmarks.trial.worth import size_effect, worth_beside
 from insemu import formats
 from insemu.cli import main
 from insemu.effects import EFFECTS, EffectUse
@@ -22,21 +37,6 @@ from insemu.gap.data.log import reduce
 from insemu.gap.drive.preparation import Prepared, fast_parts, prepare
 from insemu.noise import BI, WN, NoiseModel
 from insemu.records import AXES, ImuRecord, Series
-from insemu.trial.drives import DYNAMIC_EFFECTS, OUTSIDE, draw_use, stage
-from insemu.trial.expected import Log, sized, trace_of_ratio
-from insemu.trial.hidden import Hidden
-from insemu.trial.logs import STATIC_EFFECTS, shape, static_recording
-from insemu.trial.run import (
-    Job,
-    Plan,
-    Said,
-    Trial,
-    known_effects,
-    run_trial,
-)
-from insemu.trial.score import confusion, held_out_ratio, interval, mean_class_size, score_trials
-from insemu.trial.tracks import TRACKS
-from insemu.trial.worth import size_effect, worth_beside
 from tests.expected_leads import seen
 
 

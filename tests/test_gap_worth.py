@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from benchmarks.trial.drives import stage
 from insemu import earth
 from insemu.errors import InputError
 from insemu.gap import Finding, GapReport, Member, Value, applied
@@ -28,7 +29,6 @@ from insemu.gap.worth import (
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import GnssRecord, Recording
 from insemu.report import finding_action, finding_metres
-from insemu.trial.drives import stage
 
 T = 60.0
 

@@ -274,7 +274,7 @@ def test_the_package_has_the_scenarios_where_it_looks() -> None:
 
 @pytest.mark.parametrize(
     ("words", "found"),
-    [("insemu in", ["init"]), ("insemu g", ["gap", "gap-check", "gap-trial"]), ("insemu init --tr", ["--track"])],
+    [("insemu in", ["init"]), ("insemu g", ["gap", "gap-check"]), ("insemu init --tr", ["--track"])],
 )
 def test_the_shell_completes_commands_and_options(words: str, found: list[str]) -> None:
     env = {"_INSEMU_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}

@@ -7,8 +7,8 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
+from benchmarks.trial.run import Job, Said, Trial
 from insemu.gap.policy import Policy, rules, under
-from insemu.trial.run import Job, Said, Trial
 from tests import policy_perturbation
 from tests.policy_perturbation import Look, Seen, kept, look, move, search
 from tests.policy_probe import FACTORS, Probe, Watched

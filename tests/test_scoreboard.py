@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import pytest
 
-from insemu.trial.run import Job, Said, Trial
-from insemu.trial.score import Score, interval
+from benchmarks.trial.run import Job, Said, Trial
+from benchmarks.trial.score import Score, interval
 from tests import scoreboard
 from tests.scoreboard import MIX, SAME_DATA, WHAT, Entry, beyond, compare, fingerprint, moved, read, sentences, write
 

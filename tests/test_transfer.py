@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.trial.drives import stage
 from insemu.augment import Extras
 from insemu.cli import app
 from insemu.effects import EffectUse
@@ -18,7 +19,6 @@ from insemu.gap import Nominal
 from insemu.noise import GM, RC, WN, NoiseModel, save
 from insemu.records import AXES
 from insemu.transfer import CONSTANTS, Estimate, Factor, Levels, estimated, judge, judged, levels_of, session, transfer
-from insemu.trial.drives import stage
 from tests import filter_cases as cases
 
 TRUE = {"gyro": NoiseModel((WN(1e-3), GM(3e-4, 0.01))), "accel": NoiseModel((WN(1e-2), GM(5e-3, 0.02)))}

@@ -17,6 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.trial.drives import stage
+from benchmarks.trial.run import Job, moving_recording
 from insemu.augment import Extras
 from insemu.errors import InputError
 from insemu.filters import rests
@@ -27,8 +29,6 @@ from insemu.noise import WN, NoiseModel
 from insemu.records import AXES, Recording, Series
 from insemu.scenario import Gnss
 from insemu.transfer import CONSTANTS, Judged, estimated, fitted, judge, levels_of, transfer
-from insemu.trial.drives import stage
-from insemu.trial.run import Job, moving_recording
 from tests.real_gaps import cases
 from tests.shared_data import shared
 from tests.test_transfer import ACROSS, SCALE, drive_of

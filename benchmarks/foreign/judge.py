@@ -18,6 +18,7 @@ from benchmarks.foreign import motion, sensors
 from benchmarks.foreign.baselines import METHODS, baselines
 from benchmarks.foreign.beside import EVERY, AidRuler
 from benchmarks.foreign.oracle import gained
+from benchmarks.trial.score import interval
 from insemu.filters import FixTable
 from insemu.gap import Finding, GapReport, Nominal, find_gap, load_measured, load_nominal
 from insemu.gap.drive.preparation import Flown, starting_state
@@ -25,7 +26,6 @@ from insemu.gap.evidence.surrogate import PLAIN, Colour, FixNoise, Surrogate
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Member
 from insemu.records import Recording
-from insemu.trial.score import interval
 
 Array = NDArray[np.float64]
 #: What is hidden in the recordings of each kind.

@@ -29,6 +29,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from benchmarks.foreign import sensors
+from benchmarks.trial.score import interval
 from insemu.gap import Finding, GapReport, Nominal, find_gap, load_measured, load_nominal
 from insemu.gap.beliefs.refined import refined_nominal
 from insemu.gap.drive import FIRST, Flown
@@ -36,7 +37,6 @@ from insemu.gap.evidence.surrogate import PLAIN, FixNoise, Surrogate
 from insemu.gap.problems import drive_without
 from insemu.gap.problems.known import colour_of
 from insemu.records import GnssRecord, ImuRecord, Recording
-from insemu.trial.score import interval
 from insemu.work import Lines, processes, run_items
 from tests.real_gaps import cases
 from tests.shared_data import root

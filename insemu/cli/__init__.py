@@ -42,7 +42,6 @@ COMMANDS: dict[str, str] = {
     "dead-reckon": "dead_reckon",
     "gap": "gap",
     "gap-check": "gap_check",
-    "gap-trial": "gap_trial",
     "transfer": "transfer",
     "serve": "serve",
     "schema": "schema",
@@ -101,8 +100,8 @@ for _name, _module in COMMANDS.items():
     )  # whole, not cut
 
 
-def main(argv: list[str] | None = None) -> None:
-    """Run the command line; the entry point of the ``insemu`` script."""
+def main(argv: list[str] | None = None, commands: typer.Typer = app) -> None:
+    """Run the command line, or commands of another program; the entry point of the ``insemu`` script."""
     from insemu.blas import one_thread_by_default
     from insemu.progress import listeners
 
@@ -112,7 +111,7 @@ def main(argv: list[str] | None = None) -> None:
         if isinstance(stream, io.TextIOWrapper):  # a console that has not all characters shows a question mark
             stream.reconfigure(errors="replace")
     try:
-        app(args=argv, standalone_mode=True)
+        commands(args=argv, standalone_mode=True)
     except InputError as error:
         typer.echo(f"insemu: error: {error}", err=True)
         sys.exit(2)

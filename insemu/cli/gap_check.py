@@ -11,7 +11,7 @@ from insemu.cli.options import DRAWS, argument, option
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from insemu.trial import Check
+    from insemu.gap import Check
 
 
 def command(
@@ -38,10 +38,9 @@ def command(
     from insemu.cli.announce import announce
     from insemu.cli.printing import STAGES, staged
     from insemu.errors import InputError
-    from insemu.gap import find_gap, from_its_start, load_measured, load_nominal
+    from insemu.gap import check, find_gap, from_its_start, kept, load_measured, load_nominal
     from insemu.records import Recording
     from insemu.report import render_check
-    from insemu.trial import check, kept
     from insemu.whole import put
 
     console = Console(stderr=as_json)

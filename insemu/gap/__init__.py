@@ -1,7 +1,7 @@
 """Where simulation and measurement disagree: find the missing effect, name it, add it, show the gap shrink.
 
 ``find_gap`` holds a static log or a recording against what is believed and answers with a :class:`GapReport`; :func:`register` adds a
-candidate of one's own.
+candidate of one's own. :func:`check` emulates recordings from a model along a measured drive and says where the measured one stands among them.
 """
 
 from insemu.gap.beliefs.nominal import Nominal, load_nominal
@@ -10,12 +10,14 @@ from insemu.gap.candidates.axis import register
 from insemu.gap.data.sources import StaticLog, from_its_start, load_measured
 from insemu.gap.experiment import NextExperiment, design, experiment_said, write_experiment
 from insemu.gap.policy import Policy, rules
+from insemu.gap.predictive import Check, check, kept
 from insemu.gap.problems.aids import is_looked_at
 from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.session import applied, find_gap, with_only
 from insemu.gap.verdict import Finding, GapReport, Interval, Member, Value, Where
 
 __all__ = [
+    "Check",
     "Finding",
     "GapReport",
     "Interval",
@@ -27,12 +29,14 @@ __all__ = [
     "Value",
     "Where",
     "applied",
+    "check",
     "design",
     "experiment_said",
     "find_gap",
     "find_static_gap",
     "from_its_start",
     "is_looked_at",
+    "kept",
     "load_measured",
     "load_nominal",
     "refined_nominal",

@@ -19,10 +19,10 @@ from insemu.lost import LONGEST_S, STRAY
 
 #: The runs that calibrate: what each of them is, as a command or as the file of tests that pins the constant.
 RUNS = {
-    "null": "insemu gap-trial --hidden 0 --no-hold-out --recordings 500",
-    "one": "insemu gap-trial --recordings 200",
-    "two": "insemu gap-trial --hidden 2 --no-hold-out --recordings 60",
-    "outside": "insemu gap-trial --outside --recordings 24",
+    "null": "python -m benchmarks.trial --hidden 0 --no-hold-out --recordings 500",
+    "one": "python -m benchmarks.trial --recordings 200",
+    "two": "python -m benchmarks.trial --hidden 2 --no-hold-out --recordings 60",
+    "outside": "python -m benchmarks.trial --outside --recordings 24",
     "rest-null": "python -m tests.gap_static_experiments null",
     "rest-effects": "python -m tests.gap_static_experiments effects",
     "rest-sets": "python -m tests.gap_static_experiments sets",

@@ -11,8 +11,7 @@ from insemu.report.page import Card, Section, Table, Text, render
 from insemu.report.style import COLOURS
 
 if TYPE_CHECKING:
-    from insemu.gap import GapReport
-    from insemu.trial import Check
+    from insemu.gap import Check, GapReport
 
 
 def render_check(checks: Mapping[str, Check], left: GapReport | None, folder: str | Path, source: str) -> Path:

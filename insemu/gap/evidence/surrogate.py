@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from insemu.effects import EffectUse, filter_memory
 from insemu.filters import FilterResult
 from insemu.gap.evidence import surrogate_kernels
-from insemu.gap.evidence.lanes import LANES
 from insemu.gap.evidence.merged import between_fixes, merged_states
+from insemu.lanes import LANES, lanes_of
 
 Array = NDArray[np.float64]
 
@@ -309,11 +309,12 @@ class Surrogate:
         blocks = (order.size // LANES, LANES)
         out = np.empty(blocks)
         ratio, variance = (
-            np.ascontiguousarray(np.moveaxis(v[order].reshape(*blocks, 6) ** 2, 1, 2)) for v in (factor, sigma)
+            lanes_of(np.ascontiguousarray(np.moveaxis(v[order].reshape(*blocks, 6) ** 2, 1, 2)))
+            for v in (factor, sigma)
         )
         surrogate_kernels.surrogate_likelihoods(
             self.Phi, self.Q, self.K, self.H, self.R, self.P0, self.first, self.nu, self.use, np.diff(self.t, prepend=self.t[0]),
-            self.stated, ratio, variance, rate[order].reshape(blocks), follows[order].reshape(blocks), out,
+            self.stated, ratio, variance, lanes_of(rate[order].reshape(blocks)), lanes_of(follows[order].reshape(blocks)), lanes_of(out),
         )  # fmt: skip
         values = np.empty(len(noises))
         values[order] = out.ravel()

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from insemu.compiled import njit
 from insemu.gap.evidence.error_kernels import carried
-from insemu.gap.evidence.lanes import LANES, add, div, load, mul, spread, store, sub
+from insemu.lanes import any_of, where, zeros
 
 Array = NDArray[np.float64]
 
@@ -390,151 +390,122 @@ def surrogate_likelihoods(
         Time since the fix before, s.
     stated : (f, 6) array
         Stated variances over their medians.
-    ratio, sigma : (b, 6, LANES) arrays
+    ratio, sigma : (b, 6) arrays of lanes
         Squared ratios of the true to the believed standard deviation; variances of the Gauss-Markov part, zero for none.
-    rate : (b, LANES) array
+    rate : (b,) array of lanes
         Its inverse correlation times, 1/s.
-    follows : (b, LANES) array
+    follows : (b,) array of lanes
         1 where its variances go with the stated ones, else 0.
-    out : (b, LANES) array
+    out : (b,) array of lanes
         Written to; NaN where a variance is not positive.
     """
     n = P0.shape[0]
     which = np.zeros(6, dtype=np.int64)
     # entries of each row of a transition, and those of a row of a Jacobian, that are not zero
-    count, place, entry = np.zeros(n, dtype=np.int64), np.zeros((n, n), dtype=np.int64), np.zeros((n, n))
+    count, place, entry = np.zeros(n, dtype=np.int64), np.zeros((n, n), dtype=np.uint64), np.zeros((n, n))
     at, a = np.zeros(n + 1, dtype=np.int64), np.zeros(n + 1)
+    turn, drive = zeros(ratio, 6), zeros(ratio, 6)
     for block in range(ratio.shape[0]):
         extra = 0
         for i in range(6):
-            if sigma[block, i].max() > 0.0:
+            if any_of(sigma[block, i] > 0.0):
                 which[extra] = i
                 extra += 1
         m = n + extra
-        row = m * LANES
-        P = np.zeros((m, m, LANES))
-        T = np.zeros((n, m, LANES))
-        x = np.zeros((m, LANES))
-        ahead = np.zeros((n, LANES))
-        g = np.zeros((6, m, LANES))
-        gain = np.zeros((6, m, LANES))
-        s, e, grown, total = np.zeros(LANES), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES)
-        turn, drive = np.zeros((6, LANES)), np.zeros((6, LANES))
+        P, T = zeros(ratio, (m, m)), zeros(ratio, (n, m))
+        x, ahead = zeros(ratio, m), zeros(ratio, n)
+        g, gain = zeros(ratio, (6, m)), zeros(ratio, (6, m))
         for i in range(n):
             for j in range(n):
-                for c in range(LANES):
-                    P[i, j, c] = P0[i, j]
+                P[i, j] = P0[i, j]
         for i in range(6):
-            for c in range(LANES):
-                P[i, i, c] += first[i] * (ratio[block, i, c] - 1.0)
+            P[i, i] += first[i] * (ratio[block, i] - 1.0)
         for j in range(extra):
-            for c in range(LANES):
-                i = which[j]
-                v = sigma[block, i, c] * (1.0 + follows[block, c] * (stated[0, i] - 1.0))
-                P[n + j, n + j, c] = v
-                if first[i] > 0.0:
-                    P[i, i, c] += v
-                    P[i, n + j, c] = P[n + j, i, c] = v
+            i = which[j]
+            v = sigma[block, i] * (1.0 + follows[block] * (stated[0, i] - 1.0))
+            P[n + j, n + j] = v
+            if first[i] > 0.0:
+                P[i, i] += v
+                P[i, n + j] = P[n + j, i] = v
+        total = 0.0
         for k in range(nu.shape[0]):
-            for c in range(LANES):
-                grown[c] = math.expm1(gap[k] * rate[block, c])
+            grown = math.expm1(gap[k] * rate[block])
             for j in range(extra):
-                now, before = stated[k, which[j]] - 1.0, stated[max(k - 1, 0), which[j]] - 1.0
-                for c in range(LANES):
-                    to, of = 1.0 + follows[block, c] * now, 1.0 + follows[block, c] * before
-                    turn[j, c] = min(1.0, to / (of + grown[c]))
-                    drive[j, c] = (to - turn[j, c] * turn[j, c] * of) * sigma[block, which[j], c]
+                i = which[j]
+                to = 1.0 + follows[block] * (stated[k, i] - 1.0)
+                of = 1.0 + follows[block] * (stated[max(k - 1, 0), i] - 1.0)
+                turn[j] = min(1.0, to / (of + grown))
+                drive[j] = (to - turn[j] * turn[j] * of) * sigma[block, i]
             for i in range(n):
                 count[i] = 0
                 for q in range(n):
                     if Phi[k, i, q] != 0.0:
                         place[i, count[i]], entry[i, count[i]] = q, Phi[k, i, q]
                         count[i] += 1
-                total_of = spread(0.0)
+                v = 0.0
                 for r in range(count[i]):
-                    total_of = add(total_of, mul(spread(entry[i, r]), load(x, place[i, r] * LANES)))
-                store(ahead, i * LANES, total_of)
+                    v += entry[i, r] * x[place[i, r]]
+                ahead[i] = v
                 for j in range(m):
-                    total_of = spread(0.0)
+                    v = 0.0
                     for r in range(count[i]):
-                        total_of = add(total_of, mul(spread(entry[i, r]), load(P, place[i, r] * row + j * LANES)))
-                    store(T, i * row + j * LANES, total_of)
+                        v += entry[i, r] * P[place[i, r], j]
+                    T[i, j] = v
             for i in range(n):
                 for j in range(i + 1):
-                    total_of = spread(Q[k, i, j])
+                    v = Q[k, i, j]
                     for r in range(count[j]):
-                        total_of = add(total_of, mul(spread(entry[j, r]), load(T, i * row + place[j, r] * LANES)))
-                    store(P, i * row + j * LANES, total_of)
-                    store(P, j * row + i * LANES, total_of)
+                        v += entry[j, r] * T[i, place[j, r]]
+                    P[i, j] = P[j, i] = v
                 for j in range(n, m):
-                    moved = mul(load(T, i * row + j * LANES), load(turn, (j - n) * LANES))
-                    store(P, i * row + j * LANES, moved)
-                    store(P, j * row + i * LANES, moved)
+                    P[i, j] = P[j, i] = T[i, j] * turn[j - n]
             for i in range(n, m):
                 for j in range(n, m):
-                    own = i * row + j * LANES
-                    both = mul(load(turn, (i - n) * LANES), load(turn, (j - n) * LANES))
-                    store(P, own, mul(load(P, own), both))
-                for c in range(LANES):
-                    P[i, i, c] += drive[i - n, c]
-                    x[i, c] *= turn[i - n, c]
+                    P[i, j] *= turn[i - n] * turn[j - n]
+                P[i, i] += drive[i - n]
+                x[i] *= turn[i - n]
             x[:n] = ahead
             used = 0
             for i in range(6):
                 if use[k, i] == 0:
                     continue
                 seen = _entries(H[k, i], which[:extra], i, at, a)
-                own = used * row
                 for j in range(m):
-                    total_of = spread(0.0)
+                    v = 0.0
                     for r in range(seen):
-                        total_of = add(total_of, mul(spread(a[r]), load(P, at[r] * row + j * LANES)))
-                    store(g, own + j * LANES, total_of)
+                        v += a[r] * P[at[r], j]
+                    g[used, j] = v
                 for b in range(used):
-                    seen_of = spread(0.0)
+                    v = 0.0
                     for r in range(seen):
-                        seen_of = add(seen_of, mul(spread(a[r]), load(gain, b * row + at[r] * LANES)))
+                        v += a[r] * gain[b, at[r]]
                     for j in range(m):
-                        p = own + j * LANES
-                        store(g, p, sub(load(g, p), mul(seen_of, load(g, b * row + j * LANES))))
-                variance, error = spread(R[k, i]), spread(nu[k, i])
-                variance = mul(variance, load(ratio, (block * 6 + i) * LANES))
+                        g[used, j] -= v * g[b, j]
+                variance, error = R[k, i] * ratio[block, i], nu[k, i]
                 for r in range(seen):
-                    variance = add(variance, mul(spread(a[r]), load(g, own + at[r] * LANES)))
-                    error = sub(error, mul(spread(a[r]), load(x, at[r] * LANES)))
-                store(s, 0, variance)
-                store(e, 0, error)
-                for c in range(LANES):
-                    total[c] -= 0.5 * (math.log(s[c]) + e[c] * e[c] / s[c]) if s[c] > 0.0 else math.nan
-                inverse = div(spread(1.0), variance)
-                error = mul(error, inverse)
+                    variance += a[r] * g[used, at[r]]
+                    error -= a[r] * x[at[r]]
+                total -= where(variance > 0.0, 0.5 * (math.log(variance) + error * error / variance), math.nan)
+                inverse = 1.0 / variance
                 for j in range(m):
-                    v = load(g, own + j * LANES)
-                    store(gain, own + j * LANES, mul(v, inverse))
-                    store(x, j * LANES, add(load(x, j * LANES), mul(v, error)))
+                    gain[used, j] = g[used, j] * inverse
+                    x[j] += gain[used, j] * error
                 used += 1
             for j in range(m):
                 b = 0
                 while b + 3 <= used:
-                    own = b * row
-                    one, two = load(gain, own + j * LANES), load(gain, own + row + j * LANES)
-                    three = load(gain, own + 2 * row + j * LANES)
+                    one, two, three = gain[b, j], gain[b + 1, j], gain[b + 2, j]
                     for q in range(j + 1):
-                        p, r = j * row + q * LANES, own + q * LANES
-                        left = sub(sub(load(P, p), mul(one, load(g, r))), mul(two, load(g, r + row)))
-                        store(P, p, sub(left, mul(three, load(g, r + 2 * row))))
+                        P[j, q] = P[j, q] - one * g[b, q] - two * g[b + 1, q] - three * g[b + 2, q]
                     b += 3
                 while b < used:
                     for q in range(j + 1):
-                        p = j * row + q * LANES
-                        store(P, p, sub(load(P, p), mul(load(gain, b * row + j * LANES), load(g, b * row + q * LANES))))
+                        P[j, q] -= gain[b, j] * g[b, q]
                     b += 1
                 for q in range(j):
-                    store(P, q * row + j * LANES, load(P, j * row + q * LANES))
+                    P[q, j] = P[j, q]
             for i in range(6):
                 if use[k, i] == 1:
                     for j in range(n):
-                        w = K[k, j, i] * nu[k, i]
-                        if w != 0.0:
-                            store(x, j * LANES, add(load(x, j * LANES), spread(w)))
+                        x[j] += K[k, j, i] * nu[k, i]
         out[block] = total

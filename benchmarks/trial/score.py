@@ -11,8 +11,8 @@ from typing import Any, Literal
 import numpy as np
 import scipy  # whose parts are imported when they are used
 
-from insemu.trial.hidden import Hidden
-from insemu.trial.run import Said, Trial
+from benchmarks.trial.hidden import Hidden
+from benchmarks.trial.run import Said, Trial
 
 #: Edges of the bins of confidence and of expected evidence.
 CONFIDENCE = (0.0, 0.5, 0.8, 0.95, 0.99, 1.01)

@@ -1,4 +1,8 @@
-"""``insemu gap-trial``: hide effects, look for them, score the answers."""
+"""Hide effects, look for them, score the answers.
+
+python -m benchmarks.trial --recordings 200 --workers 2            # one effect each, drives and static logs in turns
+python -m benchmarks.trial --hidden 0 --recordings 500             # nothing hidden: false alarms
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from insemu.trial import Trial
+    from benchmarks.trial import Trial
 
 
 def command(
@@ -37,11 +41,11 @@ def command(
 
     from rich.console import Console
 
+    from benchmarks.trial import Kind, Plan, catalogue_of, known_effects, run_trial
     from insemu import units
     from insemu.cli.printing import bars
     from insemu.cluster import cluster as dask_cluster
     from insemu.errors import InputError, nearest
-    from insemu.trial import Kind, Plan, catalogue_of, known_effects, run_trial
 
     choices: dict[str, tuple[Kind, ...]] = {
         "dynamic": ("dynamic",),
@@ -90,7 +94,7 @@ def _show(finished: list[Trial], as_json: bool, console: Console) -> None:
     """Print the scores, and as JSON every recording."""
     import json
 
-    from insemu import trial
+    from benchmarks import trial
 
     if not as_json:
         for table in tables(finished):
@@ -118,7 +122,7 @@ def tables(finished: list[Trial]) -> list[Table]:
 
     from rich.table import Table
 
-    from insemu import trial
+    from benchmarks import trial
 
     out = []
 
@@ -168,3 +172,13 @@ def tables(finished: list[Trial]) -> list[Table]:
         "Strength worth 20 nats, median",
     )
     return out
+
+
+app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None)
+app.command()(command)
+
+
+if __name__ == "__main__":
+    from insemu.cli import main
+
+    main(commands=app)

@@ -13,14 +13,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.trial.drives import Stage, scaled
+from benchmarks.trial.hidden import Hidden
 from insemu.effects import EFFECTS, EffectUse, having
 from insemu.filters import FilterResult
 from insemu.gap import rules
 from insemu.gap.drive import Prepared
 from insemu.gap.evidence import Colour, Surrogate
 from insemu.noise import BI, GM, RW
-from insemu.trial.drives import Stage, scaled
-from insemu.trial.hidden import Hidden
 
 Array = NDArray[np.float64]
 #: No shaped effect is made larger than this many datasheet scales: what the motion does not show stays hidden.

@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.trial.hidden import Hidden
+from benchmarks.trial.tracks import TRACKS, random_track
 from insemu import earth
 from insemu.effects import CELLS, CROSS, EFFECTS, NED, XYZ, DriveLot, EffectUse
 from insemu.emulate import corrupt, gnss_fixes, ideal_imu
@@ -16,8 +18,6 @@ from insemu.gap import Nominal
 from insemu.noise import GM, RC, RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Gnss, Initial
-from insemu.trial.hidden import Hidden
-from insemu.trial.tracks import TRACKS, random_track
 
 Array = NDArray[np.float64]
 _DEG = math.pi / 180.0

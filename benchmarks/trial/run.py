@@ -21,15 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
+from benchmarks.trial.drives import DYNAMIC_EFFECTS, OUTSIDE, TARGETS, Stage, draw_use, scaled, stage
+from benchmarks.trial.hidden import Hidden, Number
+from benchmarks.trial.logs import STATIC_EFFECTS, STATIC_OUTSIDE, static_recording
+from benchmarks.trial.worth import drawn_outliers, oracle, size_effect, whitened_difference, worth_beside
 from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError, nearest
 from insemu.gap import GapReport, find_gap, find_static_gap, rules
 from insemu.gap.drive import Flown, Prepared
 from insemu.records import Recording
-from insemu.trial.drives import DYNAMIC_EFFECTS, OUTSIDE, TARGETS, Stage, draw_use, scaled, stage
-from insemu.trial.hidden import Hidden, Number
-from insemu.trial.logs import STATIC_EFFECTS, STATIC_OUTSIDE, static_recording
-from insemu.trial.worth import drawn_outliers, oracle, size_effect, whitened_difference, worth_beside
 from insemu.work import Lines, processes, run_items
 
 Array = NDArray[np.float64]

@@ -29,7 +29,7 @@ from insemu.effects import compensated
 from insemu.emulate import corrupt, fixes_at
 from insemu.errors import InputError
 from insemu.filters import FilterOptions, FilterResult, InitialSigma, run_filter
-from insemu.gap import Nominal
+from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.data import louder
 from insemu.gap.drive import FIRST, by_filter, for_filter, outlying, starting_state, told_of, with_sigma, without
 from insemu.gap.problems import drive_without

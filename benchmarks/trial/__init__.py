@@ -1,13 +1,10 @@
 """The blind trial of the gap workflow: the emulator hides effects, :mod:`insemu.gap` looks for them, the answers are scored.
 
-``check`` emulates recordings from a model along a measured drive and says where the measured one stands among them.
-
-Only this room knows what was hidden and what was said; :mod:`insemu.gap` sees the recording and the beliefs alone.
+Only this package knows what was hidden and what was said; :mod:`insemu.gap` sees the recording and the beliefs alone.
 """
 
-from insemu.trial.predictive import Check, check, kept
-from insemu.trial.run import Job, Kind, Plan, Trial, catalogue_of, known_effects, run_trial
-from insemu.trial.score import (
+from benchmarks.trial.run import Job, Kind, Plan, Trial, catalogue_of, known_effects, run_trial
+from benchmarks.trial.score import (
     DEFINITIONS,
     Score,
     calibration,
@@ -22,7 +19,6 @@ from insemu.trial.score import (
 
 __all__ = [
     "DEFINITIONS",
-    "Check",
     "Job",
     "Kind",
     "Plan",
@@ -30,12 +26,10 @@ __all__ = [
     "Trial",
     "calibration",
     "catalogue_of",
-    "check",
     "confusion",
     "for_20_nats",
     "held_out_ratio",
     "interval",
-    "kept",
     "known_effects",
     "mean_class_size",
     "power",

@@ -1,6 +1,6 @@
 """Logs at rest with something hidden in them, for the blind trial: random sensors, wrong nominal levels, effects sized by what they are worth.
 
-Everything is made by :mod:`insemu.emulate`; how much an effect is worth says :mod:`insemu.trial.expected`, which knows the truth.
+Everything is made by :mod:`insemu.emulate`; how much an effect is worth says :mod:`benchmarks.trial.expected`, which knows the truth.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.trial.drives import wrong
+from benchmarks.trial.expected import Log, sized
+from benchmarks.trial.hidden import Hidden
 from insemu.effects import EFFECTS, EffectUse, RestLot
 from insemu.emulate import corrupt
 from insemu.gap.data import static_of
 from insemu.noise import NoiseModel
 from insemu.records import AXES, ImuRecord, Recording, Series
-from insemu.trial.drives import wrong
-from insemu.trial.expected import Log, sized
-from insemu.trial.hidden import Hidden
 
 Array = NDArray[np.float64]
 
