@@ -276,6 +276,7 @@ def _clock(n: Array, t: Array, interval: float, late: NDArray[np.bool_]) -> tupl
     weight = np.where(late, 1e-9, 1.0)
     every, best, chosen = 2.0 * (n[-1] - n[0]), np.inf, (t, np.inf)
     distinct = 1.0 + np.count_nonzero(np.diff(t) > 0.0)
+    whole = 0.0
     shortest = max(_SHORTEST, _SHORTEST_S / interval)
     while True:
         line = _line(n, t, every, weight)
@@ -286,7 +287,8 @@ def _clock(n: Array, t: Array, interval: float, late: NDArray[np.bool_]) -> tupl
         rho = float(np.clip(left[1:] @ left[:-1] / square, 0.0, 0.995))
         count = min(left.size * (1.0 - rho) / (1.0 + rho), distinct)
         bends = max(1.0, (n[-1] - n[0]) / every)
-        score = count * np.log(square / left.size) + bends * np.log(max(count, 2.0))
+        whole = whole or square
+        score = count * np.log(square / whole) + bends * np.log(max(count, 2.0))
         if score < best and (np.diff(line) > 0.0).all():
             best, chosen = score, (line, every)
         every /= 4.0 if every < n[-1] - n[0] else 8.0
@@ -442,11 +444,8 @@ def in_order(t: Array, same: NDArray[np.bool_] | None = None) -> tuple[NDArray[n
             f"{behind} of {t.size} stamps go back and {np.unique(t).size} are different; is another column the time (--map 'time=...')?"
         )
     if behind:
-        sorted_t = np.sort(t)
-        interval = _first_interval(sorted_t)
-        if interval > 0.0 and _stray(np.diff(sorted_t) / interval, 0.0) < 0.5 * _stray(
-            np.diff(t) / interval + 1.0, 0.0
-        ):
+        ordered = np.sort(t)
+        if _about_lines(ordered, ordered != t) < 0.5 * _about_lines(t, ordered != t):
             rows = np.argsort(t, kind="stable")
             said.append(f"{behind} row(s) came after later ones: they are put where their stamps say")
     if same is not None:
@@ -456,6 +455,19 @@ def in_order(t: Array, same: NDArray[np.bool_] | None = None) -> tuple[NDArray[n
             rows = rows[~twice[rows]]
             said.append(f"{int(twice.sum())} row(s) repeat the one before, stamp and values: each is used once")
     return rows, tuple(said)
+
+
+def _about_lines(t: Array, at: NDArray[np.bool_]) -> float:
+    """Scatter of stamps about lines through so many rows each, s: of those stretches that have some of the rows ``at``."""
+    block = min(FEW, t.size)
+    first = np.arange(0, t.size - block + 1, block)
+    first = first[np.add.reduceat(at[: first[-1] + block], first) > 0]
+    if not first.size:
+        return 0.0
+    blocks = t[first[:, None] + np.arange(block)]
+    x = np.arange(block) - 0.5 * (block - 1)
+    blocks = blocks - blocks.mean(axis=1)[:, None]
+    return float(np.median((blocks - (blocks @ x / (x @ x))[:, None] * x).std(axis=1)))
 
 
 def continuous(t: Array, unit_s: float = 1.0) -> tuple[Array, tuple[str, ...]]:
