@@ -11,6 +11,7 @@ import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
 from insemu.records import ImuRecord
+from insemu.sample_times import beat, samples
 
 Array = NDArray[np.float64]
 
@@ -119,12 +120,15 @@ def as_noise(stretches: Iterable[Filled], duration: float) -> Array:
 
 
 def _bridged(imu: ImuRecord, stray: float, longest: float) -> tuple[ImuRecord, Lost] | None:
-    step = np.diff(imu.t)
-    dt = float(np.median(step))
-    steady = np.abs(step / dt - 1.0) < stray
-    missing = np.round(step / dt).astype(int) - 1
-    gaps = np.flatnonzero((missing > 0) & (np.abs(step / dt - np.round(step / dt)) < stray) & (step < longest))
-    if not gaps.size or steady.sum() + gaps.size < WHOLE_STEPS * step.size or gaps.size > MOST_LOST * step.size:
+    step, dt = np.diff(imu.t), imu.dt
+    missing = samples(imu.t, dt).astype(np.int64) - 1
+    close = np.abs(step / dt - 1.0 - missing) < stray
+    gaps = np.flatnonzero((missing > 0) & close & (step < longest))
+    if (
+        not gaps.size
+        or (close & (missing == 0)).sum() + gaps.size < WHOLE_STEPS * step.size
+        or gaps.size > MOST_LOST * step.size
+    ):
         return None
     n = step.size + int(missing[gaps].sum())
     # a stamp that is missing is surprising by its share alone
@@ -159,7 +163,7 @@ def _bridged(imu: ImuRecord, stray: float, longest: float) -> tuple[ImuRecord, L
 def _let_go(imu: ImuRecord, stray: float, longest: float) -> tuple[ImuRecord, Lost] | None:
     held = imu.repeated()
     begin, end = runs(held)
-    dt = float(np.median(np.diff(imu.t)))
+    dt = imu.dt
     if begin.size < FEWEST_REPEATS or held.sum() > MOST_LOST * held.size or np.max(end - begin) * dt > longest:
         return None
     # output counts repeat by themselves: on all axes at once as often as each does where not all of them do
@@ -177,7 +181,7 @@ def _let_go(imu: ImuRecord, stray: float, longest: float) -> tuple[ImuRecord, Lo
 
 def _filled(imu: ImuRecord, gone: NDArray[np.bool_], rng: np.random.Generator | None = None) -> ImuRecord:
     """A record with the samples of some rows drawn, or with their means."""
-    width = MOTION_S / float(np.median(np.diff(imu.t)))
+    width = MOTION_S / imu.dt
     return replace(
         imu, gyro=filled(imu.gyro[~gone], gone, width, rng), accel=filled(imu.accel[~gone], gone, width, rng)
     )
@@ -185,7 +189,7 @@ def _filled(imu: ImuRecord, gone: NDArray[np.bool_], rng: np.random.Generator | 
 
 def _stretches(values: Array, empty: NDArray[np.bool_], t: Array, kind: str, first: int) -> list[Filled]:
     """The filled gaps of a sensor whose axes begin at ``first``, with how uncertain their integrals are."""
-    dt = float(np.median(np.diff(t)))
+    dt = beat(t)
     wrong = missed(values, empty, MOTION_S / dt)
     wrong *= 1.0 if kind == "increment" else dt
     begin, end = runs(empty)

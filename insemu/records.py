@@ -8,12 +8,14 @@ the interval before the record starts, is never integrated (emulated records rep
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError
+from insemu.sample_times import beat
 from insemu.stamps import OWN, SECOND, Origin, counted
 
 Array = NDArray[np.float64]
@@ -179,10 +181,10 @@ class ImuRecord(_Timed):
     def __len__(self) -> int:
         return self.t.size
 
-    @property
+    @cached_property
     def dt(self) -> float:
-        """Nominal sampling interval in s (the median step)."""
-        return float(np.median(np.diff(self.t)))
+        """Sampling interval in s: the slope of the stamps over the samples that they count (:func:`insemu.sample_times.beat`)."""
+        return beat(self.t)
 
     def as_increments(self) -> ImuRecord:
         """Return the record as integrals over the preceding intervals (``kind="increment"``).
@@ -210,8 +212,7 @@ class ImuRecord(_Timed):
         if self.kind != "increment":
             return np.ones((len(self), 1))
         step = np.diff(self.t, prepend=2 * self.t[0] - self.t[min(1, len(self) - 1)])
-        beat = float(np.median(step))
-        return np.asarray(np.where(np.abs(step / beat - 1.0) < jitter, beat, step)[:, None])
+        return np.asarray(np.where(np.abs(step / self.dt - 1.0) < jitter, self.dt, step)[:, None])
 
     def gaps(self, longer_than: float) -> list[tuple[float, float]]:
         """Steps of more than so many seconds, as (start, length) in s."""
@@ -461,6 +462,8 @@ class Recording:
         Where a filter may start; found by alignment where it is not given.
     origin : Origin
         When time 0 was. What is read counts from the second in which its first IMU row lies, or from the origin that the file states.
+    remarks : tuple of str
+        What was found and done when it was read.
     """
 
     imu: ImuRecord
@@ -470,6 +473,7 @@ class Recording:
     aids: tuple[AidRecord, ...] = ()
     initial: InitialState | None = None
     origin: Origin = OWN
+    remarks: tuple[str, ...] = ()
 
     def from_start(self) -> Recording:
         """The same recording with times from the second of its first IMU row, where its clock began longer before than it lasts."""

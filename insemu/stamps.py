@@ -21,10 +21,6 @@ SECOND = 1_000_000_000
 _MOST = 2.0**51
 #: Stamps that are looked at before all of them are.
 _FEW = 1000
-#: Steps that differ by less than this share are even: their median is the sampling interval.
-_EVEN = 1e-6
-#: A step of one and a half intervals, give or take this share, is that of a late stamp or of a lost sample: so many steps on either side tell.
-_UNSURE, _AROUND = 0.3, 8
 
 
 @dataclass(frozen=True)
@@ -142,47 +138,3 @@ def _decimals(x: Array, unit: Fraction) -> tuple[Array, int] | None:
         else:
             return whole, digits
     return None
-
-
-def beat(t: Array) -> float:
-    """Sampling interval of an IMU in s: the slope of its stamps over the samples that they count, NaN of fewer than two.
-
-    Stamps that are rounded (to ms, at 104 Hz) have no step that is the interval, and neither have stamps that jitter or samples that are lost.
-
-    Examples
-    --------
-    >>> round(1.0 / beat(np.round(np.arange(10_000) / 104.0, 3)), 3)
-    104.0
-    """
-    if t.size < 2:
-        return float("nan")
-    step = np.diff(t)
-    interval = float(np.median(step))
-    if step.size < 3 or interval <= 0.0 or float(np.abs(step - interval).max()) <= _EVEN * interval:
-        return interval
-    for _ in range(2):
-        at = np.concatenate([[0.0], np.cumsum(samples(t, interval))])
-        at -= at.mean()
-        interval = float(at @ (t - t.mean()) / (at @ at))
-    return interval
-
-
-def samples(t: Array, interval: float) -> Array:
-    """How many sampling intervals every step spans, (n-1,): a step is long because samples are lost if those around it do not make up for it.
-
-    Parameters
-    ----------
-    t : (n,) array
-        Stamps, s.
-    interval : float
-        Sampling interval, s.
-    """
-    spans = np.diff(t) / interval
-    count = np.maximum(np.rint(spans), 1.0)
-    for k in np.flatnonzero(np.abs(spans - 1.5) < _UNSURE).tolist():
-        first, last = max(k - _AROUND, 0), min(k + _AROUND + 1, t.size - 1)
-        place = (t[first : last + 1] - t[first]) / interval
-        place[1:] -= np.cumsum(count[first:last])
-        more = np.rint(place[k + 1 - first :].mean() - place[: k + 1 - first].mean())
-        count[k] = np.clip(count[k] + more, 1.0, 2.0)
-    return count

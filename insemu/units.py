@@ -81,6 +81,7 @@ _UNITS: Mapping[str, Unit] = {
     "ns": _times(1e-9, _S),
     "min": _times(60.0, _S),
     "h": _times(3600.0, _S),
+    "day": _times(86_400.0, _S),
     "hr": _times(3600.0, _S),
     "Hz": _ONE / _S,
     "kHz": _times(1e3, _ONE / _S),
@@ -107,7 +108,7 @@ _UNITS: Mapping[str, Unit] = {
 _SPELLINGS: Mapping[str, str] = {
     "degree": "deg", "degrees": "deg", "radian": "rad", "radians": "rad", "rads": "rad",
     "meter": "m", "meters": "m", "metre": "m", "metres": "m", "second": "s", "seconds": "s", "secs": "s", "minute": "min",
-    "minutes": "min", "hour": "h", "hours": "h", "hrs": "h", "hz": "Hz", "HZ": "Hz", "G": "g", "mG": "mg", "gs": "g",
+    "minutes": "min", "days": "day", "hour": "h", "hours": "h", "hrs": "h", "hz": "Hz", "HZ": "Hz", "G": "g", "mG": "mg", "gs": "g",
     "knot": "kn", "knots": "kn", "kt": "kn", "kts": "kn", "kmh": "kph", "degC": "degC", "°C": "degC", "C": "degC",
     "Celsius": "degC", "celsius": "degC", "lsb": "LSB", "count": "LSB", "counts": "LSB", "usec": "us", "msec": "ms",
     "nsec": "ns", "DPS": "dps",

@@ -254,7 +254,7 @@ def test_the_kinds_of_file_are_listed(capsys: pytest.CaptureFixture[str]) -> Non
     assert run("open") == 2
 
 
-def test_left_out_rows_are_counted_on_the_card(tmp_path: Path) -> None:
+def test_rows_with_wrong_stamps_are_used_and_those_left_out_are_counted(tmp_path: Path) -> None:
     imu = drive().imu
     t, gyro = imu.t.copy(), imu.gyro.copy()
     t[100], t[200], gyro[300] = t[99], t[150], np.nan
@@ -266,7 +266,10 @@ def test_left_out_rows_are_counted_on_the_card(tmp_path: Path) -> None:
         comments="",
     )
     found = open_files(tmp_path / "a.csv")
-    assert (found.repeated, found.backwards, found.missing) == (1, 1, 1)
+    assert (found.repeated, found.missing) == (0, 1) and found.imu is not None and len(found.imu) == t.size - 1
+    np.testing.assert_allclose(
+        found.imu.t + found.origin.ns / 1e9, np.delete(imu.t, 300), atol=1e-3
+    )  # wrong stamps are put right, their rows are used
     assert any("left out" in x.text for x in examine(found).of("odd"))
 
 

@@ -136,7 +136,7 @@ def test_widths_follow_stamps_that_are_more_than_jitter() -> None:
     mean = ImuRecord(t, np.ones((5, 3)), 2 * np.ones((5, 3)), "mean")
     assert mean.widths().tolist() == [[1.0]] * 5
     assert mean.rates()[0].tolist() == [1.0, 1.0, 1.0, 2.0, 2.0, 2.0]
-    assert mean.dt == pytest.approx(0.1005)
+    assert mean.dt == pytest.approx(0.1, rel=2e-4)  # five samples, one of them lost
     assert mean.gaps(0.15) == [(pytest.approx(0.3), pytest.approx(0.2))]
     # a step at the edge of jitter counts as one
     edge = ImuRecord(np.array([0.0, 1.0, 2.0, 3.02, 4.02]), np.ones((5, 3)), np.ones((5, 3)), "increment")

@@ -22,7 +22,8 @@ from insemu.formats import decoding, open_files, read_log, read_recording
 from insemu.formats.clocks import start_said, utc_of
 from insemu.intake import examine
 from insemu.records import AidRecord, GnssRecord, ImuRecord, InitialState, Recording, Trajectory
-from insemu.stamps import OWN, Origin, beat, counted, samples
+from insemu.sample_times import beat, samples
+from insemu.stamps import OWN, Origin, counted
 from tests.shared_data import shared
 
 #: GPS seconds of a week, s since 1970.

@@ -82,6 +82,7 @@ def _standard_input(rate_hz: float | None, columns: list[str] | None) -> tuple[l
     from insemu.errors import InputError, nearest
     from insemu.formats import AXIS_OF_COLUMN, round_rate, split_header
     from insemu.records import Series
+    from insemu.sample_times import beat
     from insemu.units import parse_unit
 
     def row(line: str, number: int) -> list[float]:
@@ -116,7 +117,7 @@ def _standard_input(rate_hz: float | None, columns: list[str] | None) -> tuple[l
         while len(begun) < 100 and (got := next(lines, None)) is not None:
             begun.append(got[0])
         stamps = np.array([r[time] for r in begun]) * (parse_unit(head[time][1]).factor if head[time][1] else 1.0)
-        step = float(np.median(np.diff(stamps))) if stamps.size > 1 else 0.0
+        step = beat(stamps)
         if not step > 0.0:
             raise InputError("the time column does not rise", where="-")
         rate_hz = round_rate(1.0 / step)

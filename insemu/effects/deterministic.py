@@ -17,6 +17,7 @@ from insemu.effects.hiding import DriveLot, Hidden, RestLot, at
 from insemu.effects.motion import Column, FixGeometry, Motion, first_axis
 from insemu.effects.parameters import CELLS, CROSS, EffectParameter
 from insemu.errors import InputError
+from insemu.sample_times import beat
 
 Array = NDArray[np.float64]
 _P = EffectParameter
@@ -450,7 +451,7 @@ def warmed(use: EffectUse, t: Array, temperature: Array | None) -> Array:
     """
     if temperature is None:
         raise InputError(f"the effect '{use.id}' needs the temperature of the data; none was recorded")
-    return lagged(temperature, float(np.median(np.diff(t))), use.scalar("lag")) - use.scalar("T0")
+    return lagged(temperature, beat(t), use.scalar("lag")) - use.scalar("T0")
 
 
 class _Warmed(_OnOneAxis):

@@ -26,6 +26,7 @@ from insemu.effects.motion import (
 from insemu.effects.parameters import EffectParameter
 from insemu.errors import InputError
 from insemu.records import GnssRecord
+from insemu.sample_times import beat
 
 Array = NDArray[np.float64]
 _P = EffectParameter
@@ -560,7 +561,7 @@ def _behind_tracker(at: Array, t: Array, acceleration: Array, swing: Array, tau:
     """What a tracked position is behind at times (f,), m: motion over intervals up to times (n,) as :func:`smoothed_slope` takes it."""
     if not tau > 0.0:
         return np.zeros(at.size)
-    dt = float(np.median(np.diff(t)))
+    dt = beat(t)
     # it begins with its velocity right: how it had been behind nobody knows
     vel = np.cumsum(acceleration) * dt + swing
     ahead = vel - behind_low_pass(vel, dt, tau)

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from insemu import earth, rotation
 from insemu.denoise import outstanding
 from insemu.records import ImuRecord
+from insemu.sample_times import beat
 
 if TYPE_CHECKING:
     from insemu.effects.base import Effect
@@ -254,7 +255,7 @@ def acceleration_along(t: Array, acceleration: Array, vel: Array) -> Array:
     vel : (n, 3) array
         m/s.
     """
-    dt = float(np.median(np.diff(t)))
+    dt = beat(t)
     drift = acceleration - np.diff(vel, axis=0, prepend=vel[:1]) / dt
     drift[0] = 0.0  # of the first row no velocity before it is known
     slow = scipy.ndimage.uniform_filter1d(drift, max(1, min(round(QUIET_S / dt), t.size)), axis=0, mode="reflect")
@@ -307,7 +308,7 @@ class AntennaMotion:
 
     def row(self, at: Array) -> NDArray[np.int64]:
         """Rows of times ``at`` (k,) in s, the nearest."""
-        middles = self.t - 0.5 * float(np.median(np.diff(self.t)))
+        middles = self.t - 0.5 * beat(self.t)
         return np.asarray(np.clip(np.searchsorted(middles, at), 0, self.t.size - 1))
 
 
@@ -447,6 +448,6 @@ def smoothed_slope(at: Array, t: Array, acceleration: Array, swing: Array, tau: 
     tau : float
         s.
     """
-    dt = float(np.median(np.diff(t)))
+    dt = beat(t)
     about = (swing - behind_low_pass(swing, dt, tau)) / tau if tau > 0.0 else np.gradient(swing, dt)
     return np.asarray(np.interp(at, t - 0.5 * dt, behind_low_pass(acceleration, dt, tau) + about))

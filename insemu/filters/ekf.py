@@ -44,6 +44,10 @@ def steps_around(dt: float) -> int:
     return max(1, round(AROUND_S / dt))
 
 
+#: Sampling intervals that differ by less than this share are one: the states of a belief change over many of them.
+SAME_RATE = 0.01
+
+
 @dataclass(frozen=True)
 class _Flight:
     """One record as the compiled loop takes it; shapes as in :func:`insemu.filters.kernel.run`."""
@@ -74,7 +78,7 @@ class LooselyCoupledEKF:
     belief : mapping of axis to NoiseModel
         See :func:`insemu.augment.augment`.
     dt : float
-        Nominal sampling interval, s; records must have it to 1 %.
+        Sampling interval that the belief is discretised at, s; a record of another one is flown by the same belief discretised at its own.
     lever_arm : (3,) array_like
         From IMU to antenna, m, body axes.
     gravity : {"normal", "free_air_first_order"}
@@ -120,13 +124,20 @@ class LooselyCoupledEKF:
 
     def with_options(self, **changes: Any) -> LooselyCoupledEKF:
         """The same design with some options (fields of :class:`FilterOptions`) replaced."""
+        return self._again(self.dt, replace(self.options, **changes))
+
+    def at_rate_of(self, imu: ImuRecord) -> LooselyCoupledEKF:
+        """The same design discretised at the sampling interval of a record; itself where that is within :data:`SAME_RATE` of its own."""
+        return self if abs(imu.dt / self.dt - 1.0) <= SAME_RATE else self._again(imu.dt, self.options)
+
+    def _again(self, dt: float, options: FilterOptions) -> LooselyCoupledEKF:
         return LooselyCoupledEKF(
             self._belief,
-            self.dt,
+            dt,
             lever_arm=self.lever_arm,
             gravity=self.gravity,
             gnss_sigma=self.gnss_sigma,
-            options=replace(self.options, **changes),
+            options=options,
         )
 
     @property
@@ -193,11 +204,12 @@ class LooselyCoupledEKF:
         Raises
         ------
         InputError
-            A record with another rate, no standard deviations for the fixes, navigation that diverges, or a covariance that is not positive
+            No standard deviations for the fixes, navigation that diverges, or a covariance that is not positive
             semidefinite (the message names the state).
         """
-        flight = self._prepared(imu, gnss, initial, initial_sigma, aids, initial_states)
-        (out,) = self._fly([flight], side_by_side=False)
+        here = self.at_rate_of(imu)
+        flight = here._prepared(imu, gnss, initial, initial_sigma, aids, initial_states)
+        (out,) = here._fly([flight], side_by_side=False)
         if isinstance(out, InputError):
             raise out
         return out
@@ -239,6 +251,9 @@ class LooselyCoupledEKF:
         for k, given in enumerate(zip(imus, gnsses, initials, strict=True)):
             beside = () if aids is None else aids[k], None if initial_states is None else initial_states[k]
             try:
+                if self.at_rate_of(given[0]) is not self:
+                    out[k] = self.run(*given, initial_sigma, aids=beside[0], initial_states=beside[1])
+                    continue
                 flight = self._prepared(*given, initial_sigma, *beside)
             except InputError as error:
                 out[k] = error
@@ -338,14 +353,10 @@ class LooselyCoupledEKF:
         Raises
         ------
         InputError
-            Too short a record, another rate than the belief was discretised at, a start that is not finite, or states of another number.
+            Too short a record, a start that is not finite, or states of another number.
         """
         if len(imu) < 2:
             raise InputError(f"the IMU record has {len(imu)} row(s), expected at least two")
-        if abs(imu.dt / self.dt - 1.0) > 0.01:
-            raise InputError(
-                f"the IMU record is sampled at {1 / imu.dt:.6g} Hz, expected {1 / self.dt:.6g} Hz as the belief was discretised"
-            )
         nav = (NavState.of(initial) if isinstance(initial, Trajectory) else initial).to_array()
         if not np.isfinite(nav).all() or abs(nav[0]) > np.deg2rad(89.9):
             raise InputError("the initial navigation state is not finite or within 0.1 deg of a pole")

@@ -22,6 +22,7 @@ from insemu.formats.columns import (
 )
 from insemu.formats.table import Table
 from insemu.records import GnssRecord, ImuKind, ImuRecord, Trajectory
+from insemu.sample_times import continuous, in_order, sample_times
 from insemu.stamps import SECOND, counted
 from insemu.units import parse, parse_unit, scaled_unit
 
@@ -41,7 +42,6 @@ class Story:
     assumed: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     repeated: int = 0
-    backwards: int = 0
     missing: int = 0
 
 
@@ -121,16 +121,14 @@ def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
         _say(role, found, units, story, table)
     kind = _kind(used.settings, integrals, where)
     rows = next(iter(values.values())).shape[0]
-    start, t = _times(table, used, names, rows, "gyro" in values or "accel" in values, story)
+    start, t, unit_s = _times(table, used, names, rows, "gyro" in values or "accel" in values, story)
     start += table.start
-    if t.size and 0.0 <= start / SECOND + np.nanmin(t) and start / SECOND + np.nanmax(t) <= clocks.WEEK + 1.0:
-        t, ended = clocks.unwrapped_weeks(t)
-        if ended:
-            story.notes.append(f"the GPS week ended {ended} time(s) in {where}: 604800 s were added from there")
     good = np.isfinite(t)
     if not good.all():
         story.missing += int((~good).sum())
         t, values = t[good], {r: v[good] for r, v in values.items()}
+    t, said = continuous(t, unit_s)
+    story.notes += [f"{where}: {text}" for text in said]
     return Columns(table, start, t, values, kind, used.settings)
 
 
@@ -190,8 +188,10 @@ def _kind(settings: Mapping[str, str], integrals: Sequence[tuple[str, bool]], wh
     return stated or ("increment" if imu == {True} else "sample")  # type: ignore[return-value]
 
 
-def _times(table: Table, used: ColumnMap, names: list[str], rows: int, imu: bool, story: Story) -> tuple[int, Array]:
-    """The first stamp in ns and the times from it in s."""
+def _times(
+    table: Table, used: ColumnMap, names: list[str], rows: int, imu: bool, story: Story
+) -> tuple[int, Array, float]:
+    """The first stamp in ns, the times from it in s, and the unit of the stamps in s."""
     settings = used.settings
     if "time" not in used.picks:
         if "rate" not in settings:
@@ -202,11 +202,19 @@ def _times(table: Table, used: ColumnMap, names: list[str], rows: int, imu: bool
         rate = parse(settings["rate"], "Hz")
         if not rate > 0:
             raise InputError(f"rate is {settings['rate']}, expected a positive one", where=table.name)
-        return 0, np.asarray(np.arange(rows) / rate)
+        return 0, np.asarray(np.arange(rows) / rate), 1.0
     ((at, pick),) = resolve("time", used.picks["time"], names, table.name)
     stamps = np.asarray(table.columns[names[at]])
     unit = pick.unit if pick.unit is not None else table.units.get(names[at], "")
     unit = settings.get("time_unit", unit)
+    clock = (
+        clocks.clock_digits(stamps) if not unit and stamps.dtype.kind in "iuf" and np.isfinite(stamps).all() else None
+    )
+    if clock is not None:
+        stamps, unit = clock, "s"
+        story.assumed.append(
+            f"stamps are hours, minutes and seconds: the digits of {names[at]} read so pass every minute evenly"
+        )
     if stamps.dtype.kind == "M":
         scale = 1.0
     elif unit:
@@ -223,12 +231,14 @@ def _times(table: Table, used: ColumnMap, names: list[str], rows: int, imu: bool
         if unit != "s":
             story.assumed.append(f"stamps in {unit}: {evidence}")
     start, t = counted(stamps, scale)
+    if unit == "day" and t.size:
+        start -= round(clocks.calendar_days(start / SECOND / scale)[1] * scale) * SECOND
     for role, size in (("nanoseconds", 1e-9), ("week", clocks.WEEK)):
         if role in used.picks:
             ((part, _),) = resolve(role, used.picks[role], names, table.name)
             more, since = counted(np.asarray(table.columns[names[part]]), size)
             start, t = start + more, t + since
-    return start, t
+    return start, t, scale
 
 
 def clock_of(columns: Columns) -> str:
@@ -254,25 +264,27 @@ def clock_of(columns: Columns) -> str:
 # ------------------------------------------------------------------------------------------------------------------- records
 
 
-def _ordered(t: Array, story: Story, what: str) -> NDArray[np.intp]:
-    """Rows in rising order of time: repeated stamps and steps back are left out and counted."""
-    if t.size < 2:
-        return np.arange(t.size)
-    best = np.maximum.accumulate(t)
-    fresh = np.concatenate([[True], t[1:] > best[:-1]])
-    repeated = int((t[1:] == best[:-1]).sum())
-    backwards = int((t[1:] < best[:-1]).sum())
-    story.repeated += repeated
-    story.backwards += backwards
-    if repeated or backwards:
-        story.notes.append(
-            f"{what}: {repeated} row(s) repeat a stamp and {backwards} go back in time; they were left out"
-        )
-    if fresh.sum() < 0.5 * t.size:
-        raise InputError(
-            f"only {int(fresh.sum())} of {t.size} stamps rise; is another column the time (--map 'time=...')?"
-        )
-    return np.flatnonzero(fresh)
+#: Share of the rows above which leaving them out is no way to read a file.
+MOST_LEFT_OUT = 0.01
+
+
+def _timed(t: Array, values: Array, story: Story, what: str, *, imu: bool = False) -> tuple[NDArray[np.intp], Array]:
+    """Rows in the order of time, and their times: of an IMU those of its samples, of fixes the stamps, but where many rows share one."""
+    same = np.concatenate([[False], (np.diff(values, axis=0) == 0.0).all(axis=1)])
+    if not imu:
+        rows, said = in_order(t, same)
+        ordered = t[rows]
+        fresh = np.concatenate([[True], ordered[1:] > np.maximum.accumulate(ordered)[:-1]])
+        if np.mean(~fresh) <= MOST_LEFT_OUT:
+            story.repeated += int((~fresh).sum())
+            said += (f"{int((~fresh).sum())} row(s) share a stamp with another; one of them is used",) * bool(
+                (~fresh).any()
+            )
+            story.notes += [f"{what}: {text}" for text in said]
+            return rows[fresh], ordered[fresh]
+    found = sample_times(t, same)
+    story.notes += [f"{what}: {text}" for text in found.said]
+    return found.rows, found.t
 
 
 _LETTERS = {"F": (0, 1.0), "B": (0, -1.0), "R": (1, 1.0), "L": (1, -1.0), "D": (2, 1.0), "U": (2, -1.0)}
@@ -354,7 +366,7 @@ def imu_of(parts: Sequence[Columns], story: Story) -> ImuRecord:
     """
     parts = [p.since(parts[0].start) for p in parts]
     both = next((p for p in parts if "gyro" in p.values and "accel" in p.values), None)
-    if both is not None:
+    if both is not None and _share_partly(both) <= MOST_LEFT_OUT:
         first, accel = both, both.values["accel"]
     else:
         gyro, other = (next((p for p in parts if r in p.values), None) for r in ("gyro", "accel"))
@@ -365,6 +377,8 @@ def imu_of(parts: Sequence[Columns], story: Story) -> ImuRecord:
                 f"has columns of {have} and none of {lacks}; say which (--map '{lacks}=...'). Columns: {', '.join(names[:16])}",
                 where=parts[0].table.name,
             )
+        if gyro is other:
+            story.notes.append("rows hold gyroscope or accelerometer: each is taken at its own stamps")
         gyro, other = _only(gyro, "gyro", story), _only(other, "accel", story)
         span = (gyro.t >= other.t[0]) & (gyro.t <= other.t[-1])
         if span.sum() < 3:
@@ -381,12 +395,12 @@ def imu_of(parts: Sequence[Columns], story: Story) -> ImuRecord:
     story.missing += first.t.size - rows.size
     if first.t.size - rows.size:
         story.notes.append(f"IMU: {first.t.size - rows.size} of {first.t.size} rows hold no number; they were left out")
-    rows = rows[_ordered(first.t[rows], story, "IMU")] if rows.size else rows
     if rows.size < 3:
         raise InputError(f"has {rows.size} usable row(s) of IMU data, expected at least 3", where=first.table.name)
-    t = first.t
-    if rows.size < t.size:
-        t, gyro_values, accel = t[rows], gyro_values[rows], accel[rows]
+    order, t = _timed(first.t[rows], np.hstack([gyro_values[rows], accel[rows]]), story, "IMU", imu=True)
+    rows = rows[order]
+    if not np.array_equal(rows, np.arange(first.t.size)):
+        gyro_values, accel = gyro_values[rows], accel[rows]
         temperature = temperature if temperature is None else temperature[rows]
     turn = _mounting(first.settings, first.table.name)
     if turn is not None:
@@ -404,12 +418,18 @@ def _rows(part: Columns, rows: NDArray[np.intp]) -> Columns:
     return replace(part, t=part.t[rows], values={r: v[rows] for r, v in part.values.items()})
 
 
+def _share_partly(part: Columns) -> float:
+    """Share of rows that hold one of the sensors and not the other."""
+    gyro, accel = (np.isfinite(part.values[role]).all(axis=1) for role in ("gyro", "accel"))
+    return float(np.mean(gyro ^ accel)) if gyro.size else 0.0
+
+
 def _only(part: Columns, role: str, story: Story) -> Columns:
     good = _rows(part, np.flatnonzero(np.isfinite(part.values[role]).all(axis=1)))
-    rows = _rows(good, _ordered(good.t, story, part.table.name))
-    if not rows.t.size:
+    if not good.t.size:
         raise InputError("holds no row of numbers", where=part.table.name)
-    return rows
+    rows, t = _timed(good.t, good.values[role], story, f"{part.table.name}, {role}", imu=True)
+    return replace(_rows(good, rows), t=t)
 
 
 def positions(part: Columns, story: Story) -> Array | None:
@@ -507,12 +527,12 @@ def gnss_of(part: Columns, story: Story) -> GnssRecord:
         story.notes.append(
             f"fixes: {part.t.size - rows.size} of {part.t.size} rows hold no position; they were left out"
         )
-    rows = rows[_ordered(part.t[rows], story, "fixes")]
+    order, t = _timed(part.t[rows], llh[rows], story, "fixes")
+    rows = rows[order]
 
     def cut(values: Array | None) -> Array | None:
         return None if values is None or not np.isfinite(values[rows]).any() else values[rows]
 
-    t = part.t[rows]
     if "gnss_shift" in part.settings:
         t = t + parse(part.settings["gnss_shift"], "s")
     llh = llh[rows]
@@ -568,10 +588,11 @@ def reference_of(part: Columns, story: Story) -> Trajectory:
     if velocity is not None:
         good &= np.isfinite(velocity).all(axis=1)
     rows = np.flatnonzero(good)
-    rows = rows[_ordered(part.t[rows], story, "reference")]
+    order, t = _timed(part.t[rows], llh[rows], story, "reference")
+    rows = rows[order]
     if rows.size < 2:
         raise InputError(f"has {rows.size} usable row(s) of truth, expected at least 2", where=part.table.name)
-    t, llh = part.t[rows], llh[rows]
+    llh = llh[rows]
     if velocity is None:
         offset = earth.position_difference(llh, np.tile(llh[0], (t.size, 1)))
         velocity = np.gradient(offset, t, axis=0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,15 +67,6 @@ def start_said(origin: Origin) -> str:
     return f"time 0 is {seconds:.15g} s of {clock}" if origin.ns or origin.clock else ""
 
 
-def unwrapped_weeks(t: Array) -> tuple[Array, int]:
-    """Seconds of the week made continuous over the week's end, and how often it ended."""
-    step = np.diff(t)
-    ends = step < -0.5 * WEEK
-    if not ends.any():
-        return t, 0
-    return t + WEEK * np.concatenate([[0.0], np.cumsum(ends)]), int(ends.sum())
-
-
 def converted(t: Array, given: str, wanted: str, near: float) -> tuple[Array, str]:
     """Turn times of one clock into another's.
 
@@ -127,6 +119,39 @@ def converted(t: Array, given: str, wanted: str, near: float) -> tuple[Array, st
     return t, "; ".join(done)
 
 
+#: Calendars that count days, and where 1970 is in each (d): their days of 2000 to 2040 do not meet.
+_DAYS = (("Excel", 25_569.0), ("modified Julian", 40_587.0), ("MATLAB", 719_529.0), ("Julian", 2_440_587.5))
+#: s since 1970 of 2000 and 2040; longest step of a stamp in days that would be none in s.
+_YEARS, _LONGEST_DAY_STEP = (9.46e8, 2.21e9), 1.2e-4
+
+
+def calendar_days(first: float) -> tuple[str, float]:
+    """Which calendar's day a stamp in days is, and where 1970 is in it, d; "" and 0 where it is none of 2000 to 2040."""
+    return next(((n, z) for n, z in _DAYS if _YEARS[0] < (first - z) * 86_400.0 < _YEARS[1]), ("", 0.0))
+
+
+def clock_digits(stamps: NDArray[Any]) -> Array | None:
+    """Seconds of the day of stamps whose digits are hours, minutes and seconds (``HHMMSS``, ``HHMMSS.sss``, ``HHMMSSsss``), else None.
+
+    Only where a minute passes: within one the stamps count seconds (or ms) themselves.
+
+    >>> clock_digits(np.array([93059980, 93059990, 93100000])).tolist()
+    [34259.98, 34259.99, 34260.0]
+    """
+    for unit in (1, 1000):
+        clock = np.asarray(stamps, dtype=np.float64)
+        if clock.size < 3 or clock[0] < 100 * unit or clock.max() >= 240_000 * unit:
+            continue
+        whole = np.floor(clock / unit)
+        seconds = np.mod(whole, 100.0)
+        minutes = np.mod(np.floor(whole / 100.0), 100.0)
+        if seconds.max() >= 60.0 or minutes.max() >= 60.0 or not (np.diff(minutes) != 0.0).any():
+            continue
+        day = np.floor(whole / 10_000.0) * 3600.0 + minutes * 60.0 + seconds
+        return np.asarray(np.round(day + (clock - whole * unit) / unit, 9))
+    return None
+
+
 #: Units of stamps, by s; tried in this order where nobody says.
 _STAMP_UNITS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
 #: Rates that an IMU or a receiver has, Hz.
@@ -174,6 +199,9 @@ def stamp_unit(t: NDArray[np.float64] | NDArray[np.int64], name: str = "", faste
     step = float(np.median(np.diff(t.astype(np.float64)))) if t.size > 1 else 0.0
     if step <= 0.0:
         return "s", "nothing tells"
+    calendar = calendar_days(size)[0]
+    if calendar and step < _LONGEST_DAY_STEP:
+        return "day", f"the first stamp, {size:.9g}, is a day of the {calendar} calendar"
     if size and 6.0e8 < size < 4.2e9:
         return "s", f"the first stamp, {size:.6g}, is a date in s"
     likely = [(u, 1.0 / (step * f)) for u, f in _STAMP_UNITS if _RATES[0] <= 1.0 / (step * f) <= _RATES[1]]

@@ -50,8 +50,8 @@ class Opened:
         What nobody said and was taken for granted.
     notes : tuple of str
         What was done on the way.
-    repeated, backwards, missing : int
-        Rows that were left out: repeated stamps, stamps that go back, no number.
+    repeated, missing : int
+        Rows that were left out: of fixes those that share a stamp with another, and those without a number.
     aids : tuple of AidRecord
         Measurements beside IMU and fixes, as they are in the file.
     origin : Origin
@@ -67,7 +67,6 @@ class Opened:
     assumed: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     repeated: int = 0
-    backwards: int = 0
     missing: int = 0
     aids: tuple[AidRecord, ...] = ()
     origin: Origin = OWN
@@ -78,7 +77,9 @@ class Opened:
             raise InputError(
                 "holds no IMU data; name the file that does, and these fixes with --gnss", where=self.source
             )
-        return Recording(self.imu, self.gnss, self.reference, self.source, self.aids, origin=self.origin)
+        return Recording(
+            self.imu, self.gnss, self.reference, self.source, self.aids, origin=self.origin, remarks=self.notes
+        )
 
 
 @dataclass(frozen=True)
@@ -168,7 +169,6 @@ def open_files(
         tuple(dict.fromkeys(story.assumed)),
         tuple(dict.fromkeys(story.notes)),
         story.repeated,
-        story.backwards,
         story.missing,
         _aids(main, origin) if imu is not None else (),
         origin,

@@ -21,7 +21,8 @@ from insemu.formats.columns import split_header, words_of
 from insemu.formats.npz import load_npy, load_npz, numbers, scalar, texts
 from insemu.formats.text import is_text, read_table, write_table
 from insemu.records import AXES, COLUMNS, ImuRecord, Series
-from insemu.stamps import beat, counted
+from insemu.sample_times import FEW, beat, continuous, sample_times
+from insemu.stamps import counted
 from insemu.units import parse_unit
 from insemu.whole import replacing
 
@@ -63,6 +64,8 @@ class Log:
         Times in s from ``start``, strictly increasing.
     start : int
         Time 0 on the clock of the file, ns.
+    remarks : tuple of str
+        What its stamps are.
     """
 
     source: str
@@ -73,6 +76,7 @@ class Log:
     rate_hz: float
     t: Array | None = None
     start: int = 0
+    remarks: tuple[str, ...] = ()
 
     @classmethod
     def of_imu(cls, imu: ImuRecord, source: str) -> Log:
@@ -233,11 +237,12 @@ def read_log(path: str | Path, *, rate_hz: float | None = None, columns: Iterabl
         raise InputError(f"rate is {rate_hz} Hz, expected a positive number", where=str(path))
     names, units, data, stamps, rate = parts(path)
     start, t = stamps if stamps is not None else (0, None)
+    remarks: tuple[str, ...] = ()
     if len(set(names)) != len(names):
         twice = sorted({n for n in names if names.count(n) > 1})
         raise InputError(f"column '{twice[0]}' appears more than once", where=str(path))
     if t is not None:
-        _check_times(t, str(path))
+        t, data, remarks = _sampled(t, data, str(path))
         step = beat(t)
         if rate is None and np.isfinite(step):
             rate = round_rate(1.0 / step)
@@ -266,6 +271,7 @@ def read_log(path: str | Path, *, rate_hz: float | None = None, columns: Iterabl
         float(rate),
         t,
         start,
+        remarks,
     )
 
 
@@ -414,7 +420,8 @@ def _times(stamps: NDArray[Any], name: str, unit: str, path: Path) -> _Stamps:
     parsed = parse_unit(unit)
     if parsed.dimension != parse_unit("s").dimension:
         raise InputError(f"the time column has the unit '{unit}', expected s, ms or us", where=f"{path}: {name}")
-    return counted(stamps, parsed.factor)
+    start, t = counted(stamps, parsed.factor)
+    return start, continuous(t, parsed.factor)[0]
 
 
 def _is_time(x: Array, *, even: bool = True) -> bool:
@@ -425,17 +432,28 @@ def _is_time(x: Array, *, even: bool = True) -> bool:
     return not even or bool(np.quantile(np.abs(step - np.median(step)), 0.9) <= 0.5 * np.median(step))
 
 
-def _check_times(t: Array, source: str) -> None:
+def _sampled(t: Array, data: list[NDArray[Any]], source: str) -> tuple[Array, list[NDArray[Any]], tuple[str, ...]]:
+    """Times of the samples, their columns in that order, and what the stamps are."""
     if not np.isfinite(t).all():
         raise InputError(f"the time of data row {int(np.argmin(np.isfinite(t)))} is not finite", where=source)
     step = np.diff(t)
-    if (step <= 0).any():
+    if t.size < FEW and (step <= 0).any():
         k = int(np.argmax(step <= 0)) + 1
         what = "repeats" if step[k - 1] == 0 else "goes back"
         raise InputError(
             f"the time {what} at data row {k} ({float(t[k - 1])!r} then {float(t[k])!r} s); expected strictly increasing times",
             where=source,
         )
+    same = None
+    if (step == 0.0).any():
+        same = np.concatenate([[False], np.all([x[1:] == x[:-1] for x in data], axis=0)])
+    try:
+        found = sample_times(t, same)
+    except InputError as error:
+        raise InputError(error.message, where=source) from None
+    if not np.array_equal(found.rows, np.arange(t.size)):
+        data = [x[found.rows] for x in data]
+    return found.t, data, found.said
 
 
 def round_rate(rate: float) -> float:

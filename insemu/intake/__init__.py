@@ -47,7 +47,14 @@ def _examined(data: Opened | Recording | Log, kind: str) -> Card:
         return Card(data.source, kind or "static log", tuple(_log_lines(data)))
     if isinstance(data, Recording):
         data = Opened(
-            data.source, kind or "recording", data.imu, data.gnss, data.reference, aids=data.aids, origin=data.origin
+            data.source,
+            kind or "recording",
+            data.imu,
+            data.gnss,
+            data.reference,
+            notes=data.remarks,
+            aids=data.aids,
+            origin=data.origin,
         )
     lines = [Line("taken", "ok", text) for text in data.taken]
     lines += [Line("assumed", "assumed", text) for text in data.assumed]
@@ -82,7 +89,7 @@ def _aid_line(aid: AidRecord) -> Line:
 
 
 def _imu_lines(data: Opened, imu: ImuRecord, found: fixed.Agreement | None, unstated: set[str]) -> list[Line]:
-    counts = {"repeated": data.repeated, "backwards": data.backwards, "missing": data.missing}
+    counts = {"repeated": data.repeated, "missing": data.missing}
     lines = checks.timing(imu.t, counts) + checks.repeats(imu) + checks.force(imu)
     turn = push = None
     gnss = data.gnss
@@ -110,6 +117,7 @@ def _log_lines(log: Log) -> list[Line]:
             ", ".join(f"{n} ({u or 'no unit'})" for n, u in zip(log.names, log.stated_units, strict=True)),
         )
     ]
+    lines += [Line("done", "ok", text) for text in log.remarks]
     if log.t is not None:
         lines += checks.timing(log.t, {}, moving=False)
     else:

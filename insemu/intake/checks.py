@@ -16,7 +16,7 @@ from insemu.formats import round_rate
 from insemu.intake.card import Level, Line
 from insemu.intake.motion import Push, Turn, up_of
 from insemu.records import ImuRecord
-from insemu.stamps import beat, samples
+from insemu.sample_times import beat, samples
 
 Array = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ def believed(found: Turn | Push | None, ratio: float = BELIEVED) -> bool:
 
 
 def timing(t: Array, counts: Mapping[str, int], *, moving: bool = True) -> list[Line]:
-    """Rate, jitter, gaps, and rows that were left out on the way in (``repeated``, ``backwards``, ``missing``).
+    """Rate, jitter, gaps, and rows that were left out on the way in (``repeated``, ``missing``).
 
     Parameters
     ----------
@@ -95,13 +95,13 @@ def timing(t: Array, counts: Mapping[str, int], *, moving: bool = True) -> list[
         out.append(
             Line("gaps", "odd", text + (": nothing measures what happened in it" if long else ""), half if long else "")
         )
-    repeated, back, missing = (counts.get(k, 0) for k in ("repeated", "backwards", "missing"))
-    if repeated or back or missing:
+    repeated, missing = (counts.get(k, 0) for k in ("repeated", "missing"))
+    if repeated or missing:
         out.append(
             Line(
                 "rows",
                 "odd",
-                f"left out: {repeated} that repeat a stamp, {back} that go back in time, {missing} without a number",
+                f"left out: {repeated} that share a stamp, {missing} without a number",
             )
         )
     return out

@@ -28,6 +28,7 @@ from insemu.gap.evidence.linear import (
 from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Value
+from insemu.sample_times import beat
 
 Array = NDArray[np.float64]
 
@@ -165,7 +166,7 @@ def _late(scene: Scene) -> list[Variant]:
     shortest, longest = float(t[1] - t[0]), rules().longest_lag * float(t[-1] - t[0])
     if motion.warmth is None or not longest > shortest:
         return []
-    dt = float(np.median(np.diff(motion.t)))
+    dt = beat(motion.t)
     linear, _, late_ones, _ = rules().thermal_odds
     odds = late_ones / linear
     shapes: list[tuple[tuple[float, ...], Array]] = []

@@ -16,6 +16,7 @@ from insemu.gap.verdict import Finding, Member, Value
 from insemu.lost import Filled, Lost, as_noise, drawn, restored, runs
 from insemu.noise import WN, NoiseModel
 from insemu.records import ImuRecord
+from insemu.sample_times import beat
 
 Array = NDArray[np.float64]
 
@@ -112,7 +113,7 @@ def _counts(imu: ImuRecord) -> dict[str, dict[str, float]]:
     """Finding of the lattice that the samples of each axis lie on, by sensor; 0 where there is none."""
     widths = imu.widths()
     # the increment over a gap is short of what was lost or holds several
-    steady = np.abs(np.diff(imu.t) / np.median(np.diff(imu.t)) - 1.0) < 0.05
+    steady = np.abs(np.diff(imu.t) / imu.dt - 1.0) < 0.05
     out = {}
     for sensor, _ in _SENSORS:
         rates = (np.array(getattr(imu, sensor)) / widths)[1:]
@@ -288,7 +289,7 @@ def unclipped(t: Array, rates: Array, at: NDArray[np.bool_]) -> tuple[Array, lis
     at : (n,) array of bool
         Samples at the full scale.
     """
-    dt = float(np.median(np.diff(t)))
+    dt = beat(t)
     noise = _noise(rates) ** 2 + 1e-300
     stretches = []
     for first, last in zip(*runs(at), strict=True):

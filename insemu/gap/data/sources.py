@@ -15,6 +15,8 @@ from insemu.formats import load_npz
 from insemu.gap.policy import rules
 from insemu.lost import REST_S, filled, places
 from insemu.records import AXES, Recording, Series
+from insemu.sample_times import beat, samples
+from insemu.stamps import counted
 
 Array = NDArray[np.float64]
 
@@ -84,7 +86,7 @@ def static_of(recording: Recording) -> StaticLog:
         More than a fifth of the samples are missing.
     """
     imu = recording.imu
-    dt = float(np.median(np.diff(imu.t)))
+    dt = imu.dt
     values, temperature, missing = _even(imu.rates(), imu.temperature, imu.t, dt, recording.source)
     axes = tuple(Series(values[:, k], 1.0 / dt, "rad/s" if k < 3 else "m/s^2", name) for k, name in enumerate(AXES))
     return StaticLog(axes, temperature, recording.source, missing if missing.any() else None)
@@ -94,7 +96,7 @@ def _even(
     values: Array, temperature: Array | None, t: Array, dt: float, source: str
 ) -> tuple[Array, Array | None, NDArray[np.bool_]]:
     """Samples (m, k) and temperature of a log at rest on every multiple of ``dt``, and which of them the stamps skip."""
-    at, missing = places(np.maximum(0, np.round(np.diff(t) / dt).astype(np.int64) - 1))
+    at, missing = places(samples(t, dt).astype(np.int64) - 1)
     lost = missing.size - at.size
     if not lost:
         return values, temperature, missing
@@ -133,5 +135,5 @@ def _stamped_rate(path: Path) -> float | None:
     stamps = next((v for k, v in arrays.items() if k.startswith("timestamp_ns")), None)
     if stamps is None or stamps.ndim != 1 or stamps.size < 2:
         return None
-    step = float(np.median(np.diff(stamps.astype(np.int64)))) * 1e-9
+    step = beat(counted(stamps, 1e-9)[1])
     return 1.0 / step if step > 0 else None
