@@ -319,5 +319,50 @@ def print_navchip() -> None:
         )
 
 
+# -- outliers -------------------------------------------------------------------------------------------------------------------------
+
+#: Kind, standard deviations (or size, of one size) of the outliers in those of the samples, and their share.
+OUTLIERS = [
+    ("none", 0.0, 0.0),
+    *((kind, size, share) for kind in ("normal", "fixed") for size in (5.0, 10.0) for share in (0.01, 0.02, 0.05, 0.1)),
+    ("bursts of 20", 10.0, 0.01),
+]
+
+
+def with_outliers(x: np.ndarray, kind: str, size: float, share: float, rng: np.random.Generator) -> np.ndarray:
+    """A record to which outliers are added."""
+    if kind.startswith("bursts"):
+        hit = np.convolve(rng.random(x.size) < share / 20, np.ones(20), "full")[: x.size] > 0
+    else:
+        hit = rng.random(x.size) < share
+    drawn = rng.standard_normal(x.size)
+    return np.asarray(x + hit * size * x.std() * (np.sign(drawn) if kind == "fixed" else drawn))
+
+
+@app.command("robust")
+def print_robust(series: int = 40, efficiency: float = 0.6, seed: int = 2016, samples: int = 1 << 16) -> None:
+    """Median over the truth, coverage and scatter of robust and plain fits of WN + GM under every kind of contamination."""
+    truth = WN(0.01) + GM(0.005, 0.1)
+    true, structure = values_of(truth), structure_of(truth)
+    print(
+        f"{'outliers':28s}{'robust: N sigma beta over the truth':>38s}{'95 % intervals hold':>24s}{'plain':>22s}{'relative variance':>20s}"
+    )
+    for kind, size, share in OUTLIERS:
+        found, plain, inside = [], [], []
+        for rng in np.random.default_rng(seed).spawn(series):
+            x = with_outliers(truth.simulate(samples, 1.0, rng), kind, size, share, rng)
+            result = fit(x, structure, rate_hz=1.0, robust=True, efficiency=efficiency)
+            found.append([e.value for e in result.parameters])
+            inside.append([e.low <= t <= e.high for e, t in zip(result.parameters, true, strict=True)])
+            plain.append([e.value for e in fit(x, structure, rate_hz=1.0).parameters])
+        cells = [np.median(found, axis=0) / true, np.mean(inside, axis=0), np.median(plain, axis=0) / true]
+        cells.append(np.var(plain, axis=0) / np.var(found, axis=0))
+        texts = [" ".join(f"{v:6.3f}" for v in c) for c in cells]
+        print(
+            f"{kind + f' {size:g} sigma, {share:.0%}':28s}{texts[0]:>38s}{texts[1]:>24s}{texts[2]:>22s}{texts[3]:>20s}",
+            flush=True,
+        )
+
+
 if __name__ == "__main__":
     app()

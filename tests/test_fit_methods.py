@@ -15,7 +15,7 @@ from insemu.fit.em import StateSpace, expectation_maximization, fit_em, maximise
 from insemu.fit.gmwm import choose_scales, fit_curve
 from insemu.fit.indirect import bootstrap_intervals, match_curve
 from insemu.fit.likelihood import _Problem, continuous_transition, fit_mli_pieces, integrate, sampling_pattern
-from insemu.fit.robust import cleaned_curve
+from insemu.fit.robust import rejection_limit
 from insemu.fit.selection import wic
 from insemu.noise import AR, AR1, BI, DR, GM, QN, RW, WN, NoiseModel, NotStationary
 from insemu.records import Series
@@ -300,23 +300,52 @@ def test_published_polynomials_that_are_not_stationary_do_not_enter():
 # -- robust, indirect, bootstrap ------------------------------------------------------------------------------------------------------
 
 
-def test_outliers_do_not_move_a_robust_fit():
+@pytest.mark.parametrize(
+    ("size", "share", "normal"), [(10.0, 0.05, True), (5.0, 0.05, False)], ids=["most of them moderate", "of one size"]
+)
+def test_outliers_do_not_move_a_robust_fit(size, share, normal):
+    """Every twentieth sample is an outlier: the fit of the same record without them is met, the plain fit is not."""
     rng = np.random.default_rng(12)
-    truth = WN(1e-2) + GM(2e-2, 0.5)
-    x = truth.simulate(200000, 0.01, rng)
-    hit = rng.random(x.size) < 0.01
-    bad = x.copy()
-    bad[hit] += 9 * x.std() * rng.standard_normal(int(hit.sum()))
+    truth = WN(1e-2) + GM(5e-3, 0.1)
+    x = truth.simulate(1 << 15, 1.0, rng)
+    hit = rng.random(x.size) < share
+    drawn = rng.standard_normal(x.size)
+    bad = x + hit * size * x.std() * (drawn if normal else np.sign(drawn))
     plain, robust, clean = (
-        fit(v, "WN() + GM()", rate_hz=100.0, robust=r) for v, r in ((bad, False), (bad, True), (x, True))
+        fit(v, "WN() + GM()", rate_hz=1.0, robust=r) for v, r in ((bad, False), (bad, True), (x, False))
     )
-    assert plain["WN1.N"].value > 1.3 * 1e-2
-    assert_allclose(robust["WN1.N"].value, 1e-2, rtol=0.05)
-    assert_allclose(robust["GM1.sigma"].value, 2e-2, rtol=0.25)
-    assert any("outliers" in w for w in robust.warnings)
-    # a record without any is not touched
-    assert cleaned_curve(x, 100.0).outlier_variance == 0.0
-    assert_allclose(clean["WN1.N"].value, fit(x, "WN() + GM()", rate_hz=100.0)["WN1.N"].value, rtol=1e-9)
+    assert plain["WN1.N"].value > 1.5 * 1e-2
+    for label in ("WN1.N", "GM1.sigma", "GM1.beta"):
+        found, without = robust[label], clean[label]
+        # what the outliers leave open is what the two standard errors differ by, and what is rejected at this efficiency
+        assert abs(found.value - without.value) < 2.5 * found.standard_error, label
+        assert found.standard_error < 2.0 * without.standard_error, label
+    assert_allclose(robust["WN1.N"].value, 1e-2, rtol=0.02)
+    outliers = robust.details["outliers"]
+    # outliers below two and a half standard deviations cannot be told from noise
+    assert 0.75 * hit.mean() < outliers.share < 1.1 * hit.mean()
+    assert outliers.rejected[hit].mean() > 0.75
+    assert any("are outliers" in w for w in robust.warnings)
+
+
+def test_a_clean_record_costs_the_efficiency_that_is_asked_for():
+    """The limit of rejection against draws: the variance of samples within it, made consistent, by fixed-point iteration."""
+    rng = np.random.default_rng(3)
+    z = rng.standard_normal((3000, 400))
+    for efficiency in (0.6, 0.9):
+        limit = rejection_limit(efficiency)
+        inside = np.abs(rng.standard_normal(2_000_000))
+        share = np.mean(inside[inside < limit] ** 2)
+        deviation = np.ones(z.shape[0])
+        for _ in range(40):
+            kept = np.abs(z) < limit * deviation[:, None]
+            deviation = np.sqrt((z**2 * kept).sum(axis=1) / kept.sum(axis=1) / share)
+        found = (2.0 / z.shape[1]) / np.var(deviation**2)
+        # 3,000 draws know a variance to 2.6 %
+        assert_allclose(found, efficiency, rtol=3 * 0.026 + 0.02)
+    for wrong in (0.2, 1.0):
+        with pytest.raises(InputError, match="efficiency"):
+            rejection_limit(wrong)
 
 
 def test_indirect_inference_agrees_with_the_closed_form():

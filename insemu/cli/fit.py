@@ -373,7 +373,7 @@ def fit_pooled(
     out: dict[str, FitResult] = {}
     for (unit, rate, _), members in groups.items():
         curves: list[WaveletVariance] = [
-            cleaned_curve(s.complete("the robust wavelet variance").values, rate).curve
+            cleaned_curve(s, asked[unit]).curve
             if robust
             else wavelet_variance(s.complete("a pooled fit").values, rate, filter=options["wavelet"])
             for s in members

@@ -194,9 +194,10 @@ def _fit_robust(series: Series, asked: NoiseModel, options: dict[str, Any]) -> F
     from insemu.fit.gmwm import fit_curve
     from insemu.fit.robust import EFFICIENCY, cleaned_curve
 
-    efficiency = float(options.pop("efficiency", EFFICIENCY))
+    given = dict(options)
+    efficiency = float(given.pop("efficiency", EFFICIENCY))
     cleaned = cleaned_curve(series, asked, efficiency)
-    result = fit_curve(cleaned.curve, asked, unit=series.unit, name=series.name, **options)
+    result = fit_curve(cleaned.curve, asked, unit=series.unit, name=series.name, **given)
     details = result.details | {"robust_efficiency": efficiency, "outliers": cleaned.outliers}
     return replace(result, warnings=(*result.warnings, cleaned.outliers.note(series.rate_hz)), details=details)
 

@@ -1,9 +1,9 @@
 """The curve that a robust fit uses: samples that the model cannot explain count as missing, and what that does to the curve is taken back.
 
-An outlier touches one sample, but 2^j coefficients of scale 2^j: with one bad sample in a hundred no coefficient of 128 samples is clean, and an
-M-estimator of a scale has nothing left to reject. So samples are rejected, each once: those whose residual, predicted by all other samples under
-the fitted model (leave-one-out, by the smoother), exceeds ``c`` standard deviations. The wavelet variance of the others is that of a record with
-missing samples. ``c`` gives the estimate of the white noise the efficiency asked for with Gaussian data.
+An outlier touches one sample, but 2^j coefficients of scale 2^j: with one bad sample in a hundred no coefficient of 128 samples is clean,
+and an M-estimator of a scale has nothing left to reject. So samples are rejected, each once: those whose residual, predicted by all other
+samples under the fitted model (leave-one-out, by the row of the smoother), exceeds ``c`` standard deviations. The wavelet variance of the
+others is that of a record with missing samples. ``c`` gives the estimate of the white noise the efficiency asked for with Gaussian data.
 
 Two things bias that curve, both as white noise does: large values of clean samples are rejected too, and small outliers remain. How often outliers
 of each size occur is estimated from the residuals (the nonparametric maximum likelihood of a mixture of amplitudes, Kiefer and Wolfowitz 1956);
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from insemu.errors import InputError
 from insemu.fit.gmwm import fit_curve
-from insemu.noise import NoiseModel, StateBlock
+from insemu.noise import NoiseModel
 from insemu.records import Series
 from insemu.statespace import smooth
 from insemu.variance import WaveletVariance, wavelet_variance
@@ -33,8 +33,10 @@ Mask = NDArray[np.bool_]
 
 #: Efficiency of the estimate of white noise with Gaussian data, where none is asked for.
 EFFICIENCY = 0.6
-#: Samples that are smoothed in one piece, and the longest signal that is drawn for the correction.
-PIECE = 1 << 17
+#: Samples from whose neighbours, half before and half behind, the one in the middle is predicted.
+NEAR = 4097
+#: The longest signal that is drawn for the correction.
+LONGEST = 1 << 17
 #: Amplitudes of outliers, in standard deviations of the residual. Below the first an outlier cannot be told from noise.
 AMPLITUDES = 2.5 * 1.25 ** np.arange(16)
 #: Octaves in which the correction is measured; in longer ones it is white noise and falls with the scale.
@@ -129,37 +131,33 @@ def rejection_limit(efficiency: float) -> float:
 
 
 class _Prediction:
-    """Every sample from all others under a model."""
+    """Every sample from its neighbours under a model: the row of the smoother for the sample in the middle of :data:`NEAR` samples."""
 
     def __init__(self, model: NoiseModel, dt: float, first: float) -> None:
         block = model.block(dt)
         # a model without white noise predicts a sample by its neighbours exactly; a thousandth of its shortest scatter stands in
-        self.white = block.white if block.white > 0 else 1e-3 * first
-        self.block: StateBlock = replace(block, white=self.white, P0=block.P0 + 1e4 * first * np.eye(block.n))
-        of_sample = 0.0
-        if block.n:
-            impulse = np.zeros(4097)
-            impulse[2048] = 1.0
-            of_sample = float(self._mean(impulse)[2048])
-        # smoothed mean m = a y + (others): the others predict (m - a y) / (1 - a)
-        self.share = min(of_sample, 1.0 - 1e-9)
-        self.deviation = math.sqrt(self.white / (1.0 - self.share))
+        white = block.white if block.white > 0 else 1e-3 * first
+        # where the state begins is not known, so that the row adds up to one
+        block = replace(block, white=white, P0=block.P0 + 1e4 * first * np.eye(block.n))
+        impulse = np.zeros(NEAR)
+        impulse[NEAR // 2] = 1.0
+        row = smooth(block, impulse).mean @ block.c if block.n else np.full(NEAR, 1.0 / NEAR)
+        own = min(float(row[NEAR // 2]), 1.0 - 1e-9)
+        self.row = row / (1.0 - own)
+        self.row[NEAR // 2] = 0.0
+        self.deviation = math.sqrt(white / (1.0 - own))
 
-    def _mean(self, y: Array) -> Array:
-        pieces = [y[k : k + PIECE] for k in range(0, y.size, PIECE)]
-        return np.concatenate([smooth(self.block, part).mean @ self.block.c for part in pieces])
+    def _of_neighbours(self, y: Array) -> Array:
+        padded = np.pad(y, NEAR // 2, mode="reflect" if y.size > NEAR // 2 else "edge")
+        return np.asarray(scipy.signal.oaconvolve(padded, self.row, mode="valid"))
 
     def rejected(self, y: Array, begin: Mask, limit: float) -> tuple[Array, Mask]:
         """Residuals in standard deviations and the samples beyond a limit, predicted without these."""
         out = begin
-        predicted = np.full(y.size, float(np.mean(y[~out])) if not out.all() else 0.0)
+        predicted = np.full(y.size, float(np.median(y)))
         for _ in range(3):
-            for _ in range(3 if self.block.n else 1):
-                if self.block.n:
-                    whole = np.where(out, predicted, y)
-                    predicted = whole + (self._mean(whole) - whole) / (1.0 - self.share)
-                else:
-                    predicted[:] = np.mean(y[~out])
+            for _ in range(3):  # neighbours that are rejected are predicted themselves
+                predicted = self._of_neighbours(np.where(out, predicted, y))
             residual = (y - predicted) / self.deviation
             before, out = out, np.abs(residual) > limit
             if np.mean(out != before) < 2e-4:
@@ -235,7 +233,7 @@ def cleaned_curve(series: Series, model: NoiseModel, efficiency: float = EFFICIE
         residual, out = prediction.rejected(y, out, limit)
         shares, core = _amplitudes(residual)
         kept = _kept(y, out, rate)
-        change = _change(prediction, fitted, shares, core, limit, min(y.size, PIECE), dt)[: len(kept)]
+        change = _change(prediction, fitted, shares, core, limit, min(y.size, LONGEST), dt)[: len(kept)]
         scale = kept.scale_samples.astype(float)
         added = change[-1] * scale[change.size - 1] / scale
         added[: change.size] = change
@@ -245,7 +243,7 @@ def cleaned_curve(series: Series, model: NoiseModel, efficiency: float = EFFICIE
         scatter = (1.0 / efficiency - 1.0) * 2.0 * unit**2 / y.size
         scatter += (UNSEEN * _unseen(shares) * AMPLITUDES[0] ** 2 / 3.0 * unit) ** 2
         curve = replace(kept, value=value, low=kept.low * ratio, high=kept.high * ratio, white_scatter=scatter)
-        fitted = fit_curve(curve, model).model
+        fitted = fit_curve(curve, model, start=fitted).model
     seen = shares[1:]
     mean_square = float(seen @ AMPLITUDES**2 / seen.sum()) if seen.sum() > 0 else 0.0
     size = math.sqrt(mean_square) * core * prediction.deviation

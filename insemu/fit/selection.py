@@ -560,13 +560,13 @@ def select_axes(
     """
 
     def one(series: Series, executor: Executor) -> Ranking:
-        curve: WaveletVariance
         if robust:
-            curve = cleaned_curve(series.complete("the robust wavelet variance").values, series.rate_hz).curve
+            # the richest candidate predicts the samples; the search knows no order among candidates
+            richest = max(candidates or [general], key=lambda m: sum(len(p.parameters) for p in m))
+            curve = cleaned_curve(series, richest).curve
         else:
             curve = wavelet_variance(series.values, series.rate_hz, gaps=series.gaps)
-        efficiency = float(getattr(curve, "efficiency", 1.0))
-        options: dict[str, Any] = {"name": series.name, "unit": series.unit, "efficiency": efficiency}
+        options: dict[str, Any] = {"name": series.name, "unit": series.unit}
         if candidates is None:
             ranking = select(curve, general, executor=executor, **options)
         else:
