@@ -2,6 +2,9 @@
 
 Every test states its confidence. Where several are made together (epochs, states, components) the bounds are those of the family:
 Bonferroni's ``1 - (1 - confidence) / count`` each, so that a consistent filter passes all of them with the stated probability.
+
+Of many samples bounds become narrower than anything that a decision turns on. So a difference up to :data:`MEAN_SQUARE` or :data:`COVERAGE` is
+said as certain and small, and counts as consistent.
 """
 
 from __future__ import annotations
@@ -21,6 +24,25 @@ from insemu.filters import FilterResult, FixTable
 
 Array = NDArray[np.float64]
 Word = Literal["consistent", "overconfident", "pessimistic", "correlated"]
+#: Relative difference of NEES and NIS per degree of freedom from 1 that moves no decision: sigmas that are 1 % too large or too small.
+MEAN_SQUARE = 0.02
+#: Difference of a coverage from what is expected that moves no decision.
+COVERAGE = 0.01
+#: What a word means of the errors of a filter, and of its innovations, which say nothing of errors that no fix sees.
+_OF_ERRORS = {
+    "consistent": "the filter knows its error",
+    "overconfident": "the filter is surer than it should be",
+    "pessimistic": "the filter is less sure than it could be",
+}
+_OF_INNOVATIONS = {
+    "consistent": "the filter knows how far it is from the next fix, which says nothing of what no fix sees",
+    "overconfident": "innovations are larger than the filter states",
+    "pessimistic": "innovations are smaller than the filter states",
+}
+_OF_COLOUR = {
+    "consistent": "innovations are white",
+    "correlated": "innovations are not white: something is left to be modelled",
+}
 
 
 @dataclass(frozen=True)
@@ -39,6 +61,8 @@ class Verdict:
         Samples behind the statistic.
     word : str
         ``consistent``; ``overconfident`` (errors larger than the filter says); ``pessimistic`` (smaller); ``correlated`` (innovations not white).
+    size : float
+        Difference from what is expected that moves no decision: up to it the word is ``consistent`` whatever the bounds are. Zero: none.
     """
 
     test: str
@@ -49,29 +73,34 @@ class Verdict:
     confidence: float
     count: int
     word: Word
+    size: float = 0.0
 
     @property
     def passed(self) -> bool:
-        """Whether the value lies in its bounds."""
+        """Whether the value lies in its bounds, or so near to what is expected that no decision moves."""
         return self.word == "consistent"
 
     def __str__(self) -> str:
-        told = {
-            "consistent": "the filter knows its error",
-            "overconfident": "the filter is surer than it should be",
-            "pessimistic": "the filter is less sure than it could be",
-            "correlated": "innovations are not white: something is left to be modelled",
-        }[self.word]
+        meant = {"NIS/dof": _OF_INNOVATIONS, "whiteness": _OF_COLOUR}.get(self.test, _OF_ERRORS)[self.word]
+        if self.passed and not self.low <= self.value <= self.high:
+            meant = f"the difference is certain, but smaller than what moves a decision ({100 * self.size:g} %)"
         return (
             f"{self.test} of {self.subject}: {self.value:.4g}, expected {self.low:.4g} to {self.high:.4g} "
-            f"({100 * self.confidence:g} %, {self.count} samples): {self.word}, {told}"
+            f"({100 * self.confidence:g} %, {self.count} samples): {self.word}, {meant}"
         )
 
 
 def _judge(
-    value: float, low: float, high: float, *, larger: Word = "overconfident", smaller: Word = "pessimistic"
+    value: float,
+    low: float,
+    high: float,
+    *,
+    expected: float = 1.0,
+    size: float = MEAN_SQUARE,
+    larger: Word = "overconfident",
+    smaller: Word = "pessimistic",
 ) -> Word:
-    if low <= value <= high:
+    if low <= value <= high or abs(value - expected) <= size:
         return "consistent"
     return larger if not value < low else smaller
 
@@ -307,7 +336,9 @@ def nees_verdicts(
     out = []
     for k, mean in enumerate(m / dof):
         name = subject if at is None else f"{subject} at {at[k]:g} s"
-        out.append(Verdict("NEES/dof", name, float(mean), low, high, confidence, runs, _judge(mean, low, high)))
+        out.append(
+            Verdict("NEES/dof", name, float(mean), low, high, confidence, runs, _judge(mean, low, high), MEAN_SQUARE)
+        )
     return out
 
 
@@ -334,7 +365,8 @@ def nis_verdict(total: float, dof: int, *, confidence: float = 0.99) -> Verdict:
         raise InputError("no accepted fix: there is no innovation to judge")
     tail = 0.5 * (1.0 - confidence)
     low, high = (x / dof for x in chi_square_bounds(tail, dof))
-    return Verdict("NIS/dof", "innovations", total / dof, low, high, confidence, dof, _judge(total / dof, low, high))
+    word = _judge(total / dof, low, high)
+    return Verdict("NIS/dof", "innovations", total / dof, low, high, confidence, dof, word, MEAN_SQUARE)
 
 
 def normalised_innovations(fixes: FixTable) -> Array:
@@ -391,7 +423,7 @@ def whiteness_verdicts(sums: ArrayLike, counts: ArrayLike, *, confidence: float 
         if n == 0:
             raise InputError(f"too few fixes for a lag of {lag}")
         value, bound = float(s / n), float(z / math.sqrt(n))
-        word = _judge(value, -bound, bound, larger="correlated", smaller="correlated")
+        word = _judge(value, -bound, bound, expected=0.0, size=0.0, larger="correlated", smaller="correlated")
         out.append(Verdict("whiteness", f"innovations at lag {lag}", value, -bound, bound, confidence, int(n), word))
     return out
 
@@ -432,8 +464,11 @@ def coverage_test(
     for i, name in enumerate(names):
         count = round(runs * epochs / float(design[i]))
         low, high = binom.ppf(tail, count, expected) / count, binom.isf(tail, count, expected) / count
-        word = _judge(float(share[i]), low, high, larger="pessimistic", smaller="overconfident")
-        out.append(Verdict(f"{factor:g}-sigma coverage", name, float(share[i]), low, high, confidence, count, word))
+        inside = float(share[i])
+        word = _judge(
+            inside, low, high, expected=expected, size=COVERAGE, larger="pessimistic", smaller="overconfident"
+        )
+        out.append(Verdict(f"{factor:g}-sigma coverage", name, inside, low, high, confidence, count, word, COVERAGE))
     return out
 
 

@@ -481,7 +481,9 @@ def consistency_words(results: Results, design: str) -> list[str]:
             what = "white" if not words else f"correlated at {bad} of {len(family)} lags"
             lines.append(f"{name} {what} (mean products at lags 1 to 5 {span}, bound {family[0].high:.2g})")
             continue
-        verdict = " and ".join(words) if words else "consistent"
+        outside = any(not v.low <= v.value <= v.high for v in family)
+        small = "consistent: what differs is smaller than what moves a decision"
+        verdict = " and ".join(words) if words else small if outside else "consistent"
         if words and len(family) > 1:
             verdict += f" at {bad} of {len(family)} epochs"
         lines.append(f"{name} {span} ({family[0].low:.2f} to {family[0].high:.2f} expected): {verdict}")
