@@ -2,9 +2,6 @@
 
 Every test states its confidence. Where several are made together (epochs, states, components) the bounds are those of the family:
 Bonferroni's ``1 - (1 - confidence) / count`` each, so that a consistent filter passes all of them with the stated probability.
-
-Of many samples bounds become narrower than anything that a decision turns on. So a difference up to :data:`MEAN_SQUARE` or :data:`COVERAGE` is
-said as certain and small, and counts as consistent.
 """
 
 from __future__ import annotations
@@ -12,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
@@ -20,89 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.augment import Augmentation
 from insemu.errors import InputError
+from insemu.evaluate.verdict import COVERAGE, Verdict, Word, judged
 from insemu.filters import FilterResult, FixTable
 
 Array = NDArray[np.float64]
-Word = Literal["consistent", "overconfident", "pessimistic", "correlated"]
-#: Relative difference of NEES and NIS per degree of freedom from 1 that moves no decision: sigmas that are 1 % too large or too small.
-MEAN_SQUARE = 0.02
-#: Difference of a coverage from what is expected that moves no decision.
-COVERAGE = 0.01
-#: What a word means of the errors of a filter, and of its innovations, which say nothing of errors that no fix sees.
-_OF_ERRORS = {
-    "consistent": "the filter knows its error",
-    "overconfident": "the filter is surer than it should be",
-    "pessimistic": "the filter is less sure than it could be",
-}
-_OF_INNOVATIONS = {
-    "consistent": "the filter knows how far it is from the next fix, which says nothing of what no fix sees",
-    "overconfident": "innovations are larger than the filter states",
-    "pessimistic": "innovations are smaller than the filter states",
-}
-_OF_COLOUR = {
-    "consistent": "innovations are white",
-    "correlated": "innovations are not white: something is left to be modelled",
-}
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """One test: what was found, where it had to lie, and what that means.
-
-    Parameters
-    ----------
-    test, subject : str
-        For example ``NEES`` and ``position at 480 s``.
-    value, low, high : float
-        The statistic and its bounds.
-    confidence : float
-        Of the family that the test belongs to.
-    count : int
-        Samples behind the statistic.
-    word : str
-        ``consistent``; ``overconfident`` (errors larger than the filter says); ``pessimistic`` (smaller); ``correlated`` (innovations not white).
-    size : float
-        Difference from what is expected that moves no decision: up to it the word is ``consistent`` whatever the bounds are. Zero: none.
-    """
-
-    test: str
-    subject: str
-    value: float
-    low: float
-    high: float
-    confidence: float
-    count: int
-    word: Word
-    size: float = 0.0
-
-    @property
-    def passed(self) -> bool:
-        """Whether the value lies in its bounds, or so near to what is expected that no decision moves."""
-        return self.word == "consistent"
-
-    def __str__(self) -> str:
-        meant = {"NIS/dof": _OF_INNOVATIONS, "whiteness": _OF_COLOUR}.get(self.test, _OF_ERRORS)[self.word]
-        if self.passed and not self.low <= self.value <= self.high:
-            meant = f"the difference is certain, but smaller than what moves a decision ({100 * self.size:g} %)"
-        return (
-            f"{self.test} of {self.subject}: {self.value:.4g}, expected {self.low:.4g} to {self.high:.4g} "
-            f"({100 * self.confidence:g} %, {self.count} samples): {self.word}, {meant}"
-        )
-
-
-def _judge(
-    value: float,
-    low: float,
-    high: float,
-    *,
-    expected: float = 1.0,
-    size: float = MEAN_SQUARE,
-    larger: Word = "overconfident",
-    smaller: Word = "pessimistic",
-) -> Word:
-    if low <= value <= high or abs(value - expected) <= size:
-        return "consistent"
-    return larger if not value < low else smaller
+#: Of a filter with too few and with too many errors inside its sigmas.
+_FEW_OR_MANY: tuple[Word, Word] = ("overconfident", "pessimistic")
 
 
 def nees(errors: ArrayLike, covariance: ArrayLike) -> Array:
@@ -336,9 +255,7 @@ def nees_verdicts(
     out = []
     for k, mean in enumerate(m / dof):
         name = subject if at is None else f"{subject} at {at[k]:g} s"
-        out.append(
-            Verdict("NEES/dof", name, float(mean), low, high, confidence, runs, _judge(mean, low, high), MEAN_SQUARE)
-        )
+        out.append(judged("NEES/dof", name, float(mean), (low, high), confidence, runs))
     return out
 
 
@@ -365,8 +282,7 @@ def nis_verdict(total: float, dof: int, *, confidence: float = 0.99) -> Verdict:
         raise InputError("no accepted fix: there is no innovation to judge")
     tail = 0.5 * (1.0 - confidence)
     low, high = (x / dof for x in chi_square_bounds(tail, dof))
-    word = _judge(total / dof, low, high)
-    return Verdict("NIS/dof", "innovations", total / dof, low, high, confidence, dof, word, MEAN_SQUARE)
+    return judged("NIS/dof", "innovations", total / dof, (low, high), confidence, dof)
 
 
 def normalised_innovations(fixes: FixTable) -> Array:
@@ -419,12 +335,15 @@ def whiteness_verdicts(sums: ArrayLike, counts: ArrayLike, *, confidence: float 
     total, number = np.asarray(sums, dtype=np.float64), np.asarray(counts, dtype=np.float64)
     z = -scipy.special.ndtri(0.5 * (1.0 - confidence) / total.size)
     out = []
+    coloured: Word = "correlated"
     for lag, (s, n) in enumerate(zip(total, number, strict=True), start=1):
         if n == 0:
             raise InputError(f"too few fixes for a lag of {lag}")
         value, bound = float(s / n), float(z / math.sqrt(n))
-        word = _judge(value, -bound, bound, expected=0.0, size=0.0, larger="correlated", smaller="correlated")
-        out.append(Verdict("whiteness", f"innovations at lag {lag}", value, -bound, bound, confidence, int(n), word))
+        name, words = f"innovations at lag {lag}", (coloured, coloured)
+        out.append(
+            judged("whiteness", name, value, (-bound, bound), confidence, int(n), expected=0.0, size=0.0, words=words)
+        )
     return out
 
 
@@ -464,11 +383,12 @@ def coverage_test(
     for i, name in enumerate(names):
         count = round(runs * epochs / float(design[i]))
         low, high = binom.ppf(tail, count, expected) / count, binom.isf(tail, count, expected) / count
-        inside = float(share[i])
-        word = _judge(
-            inside, low, high, expected=expected, size=COVERAGE, larger="pessimistic", smaller="overconfident"
+        test, found = f"{factor:g}-sigma coverage", float(share[i])
+        out.append(
+            judged(
+                test, name, found, (low, high), confidence, count, expected=expected, size=COVERAGE, words=_FEW_OR_MANY
+            )
         )
-        out.append(Verdict(f"{factor:g}-sigma coverage", name, inside, low, high, confidence, count, word, COVERAGE))
     return out
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from insemu.evaluate.consistency import BLOCKS, Verdict, nees_verdicts, nis_verdict, whiteness_verdicts
+from insemu.evaluate.consistency import BLOCKS, nees_verdicts, nis_verdict, whiteness_verdicts
 from insemu.evaluate.dataset import labelled
 from insemu.evaluate.errors import (
     GROUPS,
@@ -21,6 +21,7 @@ from insemu.evaluate.errors import (
     within_outage,
 )
 from insemu.evaluate.tally import DURING, Ladder, Tally, end_index, tally
+from insemu.evaluate.verdict import Verdict
 from insemu.noise import NoiseModel
 from insemu.records import Trajectory
 from insemu.shown import Shown, count_of, few, finite
