@@ -20,9 +20,10 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import IO, Any, TypeVar
 
 import numba
+import portalocker
 from numba.core import config, sigutils
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
 from numba.core.ccallback import CFunc
@@ -162,14 +163,38 @@ class _Kept(FunctionCache):
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         self._cache_file = _Files(str(own_folder()), self._impl.filename_base, self._impl.locator.get_source_stamp())
+        self._lock: IO[bytes] | None = None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        found = None
-        with suppress(OSError):
-            found = super().load_overload(sig, target_context)
+        found = self._read(sig, target_context)
         if found is None:
             say_compiling()
+            self._hold()
+            found = self._read(sig, target_context)  # what another process compiled meanwhile
         return found
+
+    def _read(self, sig: Any, target_context: Any) -> Any:
+        with suppress(OSError):
+            return super().load_overload(sig, target_context)
+
+    def _hold(self) -> None:
+        """Wait until no other process compiles this kernel. A kernel waits for those that it calls, never they for it: no circle."""
+        # where no folder can be written, or a file system cannot lock, each compiles for itself
+        with suppress(OSError, portalocker.LockException):
+            if self._lock is None:
+                own_folder().mkdir(parents=True, exist_ok=True)
+                self._lock = open(own_folder() / f"{self._impl.filename_base}.lock", "ab")
+                portalocker.lock(self._lock, portalocker.LOCK_EX)
+
+    @contextmanager
+    def one_at_a_time(self) -> Iterator[None]:
+        """Let other processes have the kernel afterwards, compiled or failed."""
+        try:
+            yield
+        finally:
+            if self._lock is not None:
+                self._lock.close()
+                self._lock = None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         with suppress(OSError):  # no folder can be written, or the disk is full: the next process compiles again
@@ -190,7 +215,13 @@ def njit(*, cache: bool = False, **options: Any) -> Callable[[_F], _F]:
     def decorated(function: _F) -> _F:
         kernel: Any = numba.njit(**options)(function)
         if cache:
-            kernel._cache = _Kept(function)
+            kept_here, compile_ = _Kept(function), kernel.compile
+
+            def compiled(sig: Any) -> Any:
+                with kept_here.one_at_a_time():
+                    return compile_(sig)
+
+            kernel._cache, kernel.compile = kept_here, compiled
         return kernel  # type: ignore[no-any-return]
 
     return decorated
@@ -204,7 +235,8 @@ def cfunc(signature: Any) -> Callable[[Callable[..., None]], Any]:
             return numba.cfunc(signature, cache=True)(function)
         callback = CFunc(function, sigutils.normalize_signature(signature), locals={}, options={})
         callback._cache = _Kept(function)
-        callback.compile()
+        with callback._cache.one_at_a_time():
+            callback.compile()
         return callback
 
     return decorated

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import json
 import re
+import select
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import portalocker
 import pytest
+from numba.core.errors import TypingError
 from numba.core.registry import cpu_target
 
 from insemu import compiled, progress
@@ -137,3 +142,63 @@ def test_the_command_line_prints_what_is_said(
     out = capsys.readouterr()
     assert f"kernels: {compiled.described()}" in out.out
     assert out.err == "Something takes long.\n"
+
+
+#: A process that says when it begins to compile a kernel, and at the end how often it found it compiled.
+_PROCESS = """
+import sys
+from pathlib import Path
+from insemu import compiled
+compiled.own_folder = lambda: Path(sys.argv[1])
+
+def slow(x):
+    for _ in range(3):
+        x = x / 3.0 + x ** 0.5
+    return x
+
+kernel = compiled.njit(cache=True)(slow)
+plain = kernel._compiler.compile
+def counted(*given):
+    print("compiles", flush=True)
+    sys.stdin.readline()
+    return plain(*given)
+kernel._compiler.compile = counted
+kernel(2.0)
+print("found", sum(kernel.stats.cache_hits.values()), flush=True)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="select of Windows knows no pipes")
+def test_a_kernel_that_one_process_compiles_is_loaded_by_the_other(tmp_path: Path) -> None:
+    program = tmp_path / "program.py"
+    program.write_text(_PROCESS)
+
+    def started() -> subprocess.Popen[str]:
+        line = [sys.executable, str(program), str(tmp_path / "own")]
+        return subprocess.Popen(line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+    with started() as one, started() as other:
+        assert one.stdout and one.stdin and other.stdout and other.stdin
+        first = select.select([one.stdout, other.stdout], [], [], 60.0)[0][0]
+        compiling, waiting = (one, other) if first is one.stdout else (other, one)
+        assert first.readline() == "compiles\n"
+        assert not select.select([waiting.stdout], [], [], 0.5)[0]  # it waits, however long the other one takes
+        for process in (compiling, waiting):
+            process.stdin.write("\n")
+            process.stdin.flush()
+        assert compiling.stdout.readline() == "found 0\n"
+        assert waiting.stdout.readline() == "found 1\n"
+
+
+def test_what_cannot_be_compiled_is_let_go(folders: tuple[Path, Path]) -> None:
+    own, _ = folders
+
+    @compiled.njit(cache=True)
+    def wrong(x: float) -> float:
+        return x.none_of_its_own  # type: ignore[attr-defined,no-any-return]
+
+    with pytest.raises(TypingError):
+        wrong(1.0)
+    (lock,) = own.glob("*.lock")
+    with open(lock, "ab") as file:
+        portalocker.lock(file, portalocker.LOCK_EX | portalocker.LOCK_NB)

@@ -86,6 +86,37 @@ def test_innovations_are_judged_by_size_and_colour():
     assert "left to be modelled" in str(verdicts[0])
 
 
+@pytest.mark.parametrize("lean", [1.0, -1.0])
+def test_what_is_certain_and_small_is_said_as_that(lean):
+    """The bounds of 48,000 innovations are those of a normal distribution to 1e-4; a difference inside 2 % is outside of them."""
+    dof = 48_000
+    z = 2.5758293035489  # of 99 %, two-sided; the mean of chi-squares varies by 2 / dof
+    bound = z * np.sqrt(2.0 / dof)
+    inside, small, large = (c.nis_verdict((1.0 + lean * x) * dof, dof) for x in (0.9 * bound, 0.0199, 0.0201))
+    assert inside.high - 1.0 == pytest.approx(bound, abs=2e-4) and bound < 0.0199
+    assert inside.passed and small.passed and not large.passed
+    assert "the difference is certain, but smaller than what moves a decision (2 %)" in str(small)
+    assert "says nothing of what no fix sees" in str(inside)
+    assert f"innovations are {'larger' if lean > 0 else 'smaller'} than the filter states" in str(large)
+    assert not any("knows its error" in str(v) or "surer" in str(v) for v in (inside, small, large))
+    one, two = c.nees_verdicts([3 * (1.0 + lean * 0.0199), 3 * (1.0 + lean * 0.0201)], dof, 3)
+    assert one.passed and "certain" in str(one) and not two.passed and "the filter is" in str(two)
+
+
+def test_a_coverage_within_a_hundredth_moves_no_decision():
+    """Of 40,000 errors 94.6 % and 94.2 % lie inside the 95.45 % of two sigma: both far outside the binomial bounds (0.1 % a standard deviation)."""
+    verdicts = []
+    for share in (0.946, 0.942):
+        e = np.full(40_000, 1.0)
+        e[: round(e.size * (1.0 - share))] = 3.0
+        e = np.random.default_rng(1).permutation(e).reshape(200, 200, 1)
+        verdicts += c.coverage_test(e, np.ones_like(e), names=("a",), factor=2.0)
+    small, large = verdicts
+    assert max(v.low for v in verdicts) > 0.946 and small.value == pytest.approx(0.946)
+    assert small.passed and "certain" in str(small) and "(1 %)" in str(small)
+    assert large.word == "overconfident" and "surer than it should be" in str(large)
+
+
 def test_innovations_are_whitened_by_their_covariance():
     rng = np.random.default_rng(4)
     A = rng.standard_normal((6, 6)) + 3 * np.eye(6)

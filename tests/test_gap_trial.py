@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
+from benchmarks.trial.__main__ import app
 from benchmarks.trial.drives import DYNAMIC_EFFECTS, OUTSIDE, draw_use, stage
 from benchmarks.trial.expected import Log, sized, trace_of_ratio
 from benchmarks.trial.hidden import Hidden
@@ -331,3 +332,10 @@ def test_the_command_writes_a_report_and_a_refined_belief(tmp_path, capsys) -> N
     with pytest.raises(SystemExit) as stop:
         main([*arguments[:2], str(tmp_path / "absent.npz")])
     assert stop.value.code == 2
+
+
+def test_the_command_of_the_trial_refuses_what_it_does_not_know(capsys) -> None:
+    for words, said in ((["--kind", "flying"], "--kind: found 'flying'"), (["--effect", "ghost"], "ghost")):
+        with pytest.raises(SystemExit) as end:
+            main(words, app)
+        assert end.value.code == 2 and said in capsys.readouterr().err

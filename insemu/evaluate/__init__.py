@@ -9,7 +9,7 @@ from insemu.evaluate.comparison import (
     outage_budgets,
     with_designs,
 )
-from insemu.evaluate.consistency import Verdict, chi_square_bounds, lag_products, nis_test, whiteness_verdicts
+from insemu.evaluate.consistency import chi_square_bounds, lag_products, nis_test, whiteness_verdicts
 from insemu.evaluate.control import Controlled, control, planimetric, previewed
 from insemu.evaluate.covariance import CovarianceAnalysis
 from insemu.evaluate.emulated import EmulatedWorld
@@ -38,6 +38,7 @@ from insemu.evaluate.standings import Standing, answer
 from insemu.evaluate.sweep import Row, Sweep, best_of, conditions, front
 from insemu.evaluate.twin import LinearTwin
 from insemu.evaluate.until import Goal, Look, looks
+from insemu.evaluate.verdict import Verdict
 from insemu.evaluate.ways import ways_of_run
 from insemu.evaluate.world import World
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
@@ -17,63 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.augment import Augmentation
 from insemu.errors import InputError
+from insemu.evaluate.verdict import COVERAGE, Verdict, Word, judged
 from insemu.filters import FilterResult, FixTable
 
 Array = NDArray[np.float64]
-Word = Literal["consistent", "overconfident", "pessimistic", "correlated"]
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """One test: what was found, where it had to lie, and what that means.
-
-    Parameters
-    ----------
-    test, subject : str
-        For example ``NEES`` and ``position at 480 s``.
-    value, low, high : float
-        The statistic and its bounds.
-    confidence : float
-        Of the family that the test belongs to.
-    count : int
-        Samples behind the statistic.
-    word : str
-        ``consistent``; ``overconfident`` (errors larger than the filter says); ``pessimistic`` (smaller); ``correlated`` (innovations not white).
-    """
-
-    test: str
-    subject: str
-    value: float
-    low: float
-    high: float
-    confidence: float
-    count: int
-    word: Word
-
-    @property
-    def passed(self) -> bool:
-        """Whether the value lies in its bounds."""
-        return self.word == "consistent"
-
-    def __str__(self) -> str:
-        told = {
-            "consistent": "the filter knows its error",
-            "overconfident": "the filter is surer than it should be",
-            "pessimistic": "the filter is less sure than it could be",
-            "correlated": "innovations are not white: something is left to be modelled",
-        }[self.word]
-        return (
-            f"{self.test} of {self.subject}: {self.value:.4g}, expected {self.low:.4g} to {self.high:.4g} "
-            f"({100 * self.confidence:g} %, {self.count} samples): {self.word}, {told}"
-        )
-
-
-def _judge(
-    value: float, low: float, high: float, *, larger: Word = "overconfident", smaller: Word = "pessimistic"
-) -> Word:
-    if low <= value <= high:
-        return "consistent"
-    return larger if not value < low else smaller
+#: Of a filter with too few and with too many errors inside its sigmas.
+_FEW_OR_MANY: tuple[Word, Word] = ("overconfident", "pessimistic")
 
 
 def nees(errors: ArrayLike, covariance: ArrayLike) -> Array:
@@ -307,7 +255,7 @@ def nees_verdicts(
     out = []
     for k, mean in enumerate(m / dof):
         name = subject if at is None else f"{subject} at {at[k]:g} s"
-        out.append(Verdict("NEES/dof", name, float(mean), low, high, confidence, runs, _judge(mean, low, high)))
+        out.append(judged("NEES/dof", name, float(mean), (low, high), confidence, runs))
     return out
 
 
@@ -334,7 +282,7 @@ def nis_verdict(total: float, dof: int, *, confidence: float = 0.99) -> Verdict:
         raise InputError("no accepted fix: there is no innovation to judge")
     tail = 0.5 * (1.0 - confidence)
     low, high = (x / dof for x in chi_square_bounds(tail, dof))
-    return Verdict("NIS/dof", "innovations", total / dof, low, high, confidence, dof, _judge(total / dof, low, high))
+    return judged("NIS/dof", "innovations", total / dof, (low, high), confidence, dof)
 
 
 def normalised_innovations(fixes: FixTable) -> Array:
@@ -387,12 +335,15 @@ def whiteness_verdicts(sums: ArrayLike, counts: ArrayLike, *, confidence: float 
     total, number = np.asarray(sums, dtype=np.float64), np.asarray(counts, dtype=np.float64)
     z = -scipy.special.ndtri(0.5 * (1.0 - confidence) / total.size)
     out = []
+    coloured: Word = "correlated"
     for lag, (s, n) in enumerate(zip(total, number, strict=True), start=1):
         if n == 0:
             raise InputError(f"too few fixes for a lag of {lag}")
         value, bound = float(s / n), float(z / math.sqrt(n))
-        word = _judge(value, -bound, bound, larger="correlated", smaller="correlated")
-        out.append(Verdict("whiteness", f"innovations at lag {lag}", value, -bound, bound, confidence, int(n), word))
+        name, words = f"innovations at lag {lag}", (coloured, coloured)
+        out.append(
+            judged("whiteness", name, value, (-bound, bound), confidence, int(n), expected=0.0, size=0.0, words=words)
+        )
     return out
 
 
@@ -432,8 +383,12 @@ def coverage_test(
     for i, name in enumerate(names):
         count = round(runs * epochs / float(design[i]))
         low, high = binom.ppf(tail, count, expected) / count, binom.isf(tail, count, expected) / count
-        word = _judge(float(share[i]), low, high, larger="pessimistic", smaller="overconfident")
-        out.append(Verdict(f"{factor:g}-sigma coverage", name, float(share[i]), low, high, confidence, count, word))
+        test, found = f"{factor:g}-sigma coverage", float(share[i])
+        out.append(
+            judged(
+                test, name, found, (low, high), confidence, count, expected=expected, size=COVERAGE, words=_FEW_OR_MANY
+            )
+        )
     return out
 
 

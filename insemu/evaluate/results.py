@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from insemu.evaluate.consistency import BLOCKS, Verdict, nees_verdicts, nis_verdict, whiteness_verdicts
+from insemu.evaluate.consistency import BLOCKS, nees_verdicts, nis_verdict, whiteness_verdicts
 from insemu.evaluate.dataset import labelled
 from insemu.evaluate.errors import (
     GROUPS,
@@ -21,6 +21,7 @@ from insemu.evaluate.errors import (
     within_outage,
 )
 from insemu.evaluate.tally import DURING, Ladder, Tally, end_index, tally
+from insemu.evaluate.verdict import Verdict
 from insemu.noise import NoiseModel
 from insemu.records import Trajectory
 from insemu.shown import Shown, count_of, few, finite
@@ -481,7 +482,9 @@ def consistency_words(results: Results, design: str) -> list[str]:
             what = "white" if not words else f"correlated at {bad} of {len(family)} lags"
             lines.append(f"{name} {what} (mean products at lags 1 to 5 {span}, bound {family[0].high:.2g})")
             continue
-        verdict = " and ".join(words) if words else "consistent"
+        outside = any(not v.low <= v.value <= v.high for v in family)
+        small = "consistent: what differs is smaller than what moves a decision"
+        verdict = " and ".join(words) if words else small if outside else "consistent"
         if words and len(family) > 1:
             verdict += f" at {bad} of {len(family)} epochs"
         lines.append(f"{name} {span} ({family[0].low:.2f} to {family[0].high:.2f} expected): {verdict}")
