@@ -370,7 +370,10 @@ def test_solved_tracks_are_exported(solution: Solution, tmp_path: Path) -> None:
 
 def test_a_short_record_and_a_lost_filter_are_told(recording: Recording) -> None:
     drive = prepared(recording).started()
-    short = replace(recording, imu=recording.imu.rows(recording.imu.t < drive.aligned.t + 35.0))
+    late = drive.aligned.t + 30.0  # no fix before it
+    short = replace(recording, imu=recording.imu.rows(recording.imu.t < late + 35.0))
+    assert recording.gnss is not None
+    short = replace(short, gnss=recording.gnss.rows(recording.gnss.t > late))
     with pytest.raises(InputError, match=r"the filter can start at .* expected at least 40 s between"):
         solve(short, intake.examine(short), candidates()[2:3])
     good = candidates()[1]
