@@ -11,7 +11,7 @@ import numpy as np
 from insemu import formats, noise, rotation
 from insemu.errors import InputError
 from insemu.formats import Way, utc_of, write_table, write_way
-from insemu.records import Recording
+from insemu.records import Preparation, Recording
 from insemu.shown import finite
 from insemu.solve.against import Comparison
 from insemu.solve.outages import Outages
@@ -175,7 +175,9 @@ def write(solution: Solution, folder: Path) -> list[Path]:
     dated = (".kml", ".gpx", ".pos") if utc_of(way.origin) is not None else ()
     out += [write_way(way, folder / f"trajectory{end}") for end in (".csv", ".tum", *dated)]
     # on the clock of the fixes, so that the solution, the fixes and the IMU agree
-    solved = Recording(d.imu, d.gnss, replace(s.trajectory, name="solution"), d.source, d.aids, origin=d.origin)
+    done = Preparation(d.clock, d.measured, d.said)
+    way_solved = replace(s.trajectory, name="solution")
+    solved = Recording(d.imu, d.gnss, way_solved, d.source, d.aids, origin=d.origin, preparation=done)
     out.append(formats.write(folder / "solved.npz", solved))
     noise.save(dict(solution.taken.candidate.belief), folder / "models.yaml")
     o = solution.taken.outages
