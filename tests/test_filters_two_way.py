@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from insemu import rotation
 from insemu.filters import start
+from insemu.formats import read_recording, write
 from insemu.gap import Nominal
 from insemu.gap.drive import starting_state
 from insemu.noise import RC, WN
 from insemu.records import AXES, Recording
 from insemu.scenario import Gnss
+from insemu.solve import prepared
 from tests import start_cases
 
 LARGE = np.array([*np.deg2rad([5.0, -3.0, 4.0]), 0.3, -0.2, 0.25])
@@ -45,3 +48,17 @@ def test_gap_starts_where_every_filter_starts() -> None:
     assert imu.t[0] == found.t
     np.testing.assert_allclose(state.rpy, found.state.rpy, atol=1e-9)
     assert (np.asarray(sigma.attitude) >= np.asarray(found.sigma.attitude)).all()
+
+
+@pytest.mark.parametrize("since", [345_600.0, 1_764_400_000.0], ids=["week", "1970"])
+def test_a_start_is_the_same_whenever_its_clock_began(since: float, tmp_path: Path) -> None:
+    s = start_cases.emulate("boat", 2)
+    write(tmp_path / "own.npz", Recording(s.imu, s.gnss))
+    with np.load(tmp_path / "own.npz") as held:
+        arrays = {k: v + since if k in ("imu_t", "gnss_t") else v for k, v in held.items()}
+    np.savez(tmp_path / "later.npz", **arrays)
+    found = []
+    for name in ("own", "later"):
+        a = prepared(read_recording(tmp_path / f"{name}.npz"), s.lever_arm).started().aligned
+        found.append(np.concatenate([[a.t], a.state.llh, a.state.vel_ned, a.state.rpy, a.bias, a.sigma.to_array()]))
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9, atol=1e-9)

@@ -59,6 +59,8 @@ class Drive:
         When time 0 was.
     measured : GnssRecord, optional
         The fixes as they were recorded.
+    recorded : float
+        Seconds that the IMU was recorded for.
     """
 
     imu: ImuRecord
@@ -75,6 +77,12 @@ class Drive:
     start: Alignment | None = None
     origin: Origin = OWN
     measured: GnssRecord | None = None
+    recorded: float = 0.0
+
+    @property
+    def unsolved(self) -> float:
+        """Share of the recording before the start and beside the stretch that is solved."""
+        return max(0.0, 1.0 - (float(self.imu.t[-1]) - self.aligned.t) / self.recorded) if self.recorded else 0.0
 
     @property
     def aligned(self) -> Alignment:
@@ -174,6 +182,7 @@ def prepared(recording: Recording, lever_arm: ArrayLike = (0.0, 0.0, 0.0)) -> Dr
         known=recording.initial,
         origin=recording.origin,
         measured=recording.gnss,
+        recorded=float(recording.imu.t[-1] - recording.imu.t[0]),
     )
 
 
