@@ -437,9 +437,36 @@ class AidRecord(_Timed):
         since = None if self.since is None else self.since[keep]
         return replace(self, t=self.t[keep], values=self.values[keep], std=self.std[keep], since=since)
 
+    def later(self, seconds: float) -> AidRecord:
+        """The measurements with stamps that are so many seconds later."""
+        return replace(self, t=self.t + seconds, since=None if self.since is None else self.since + seconds)
+
     def without(self, times: Array) -> AidRecord:
         """The measurements of other times than these, s."""
         return self.rows(~np.isin(self.t, times))
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """What was done to a recording before it was written: who looks for what is wrong with it looks at it as it was measured.
+
+    Parameters
+    ----------
+    imu_late : float
+        Seconds that were taken off the stamps of the IMU.
+    gnss : GnssRecord, optional
+        The fixes as they were recorded, with the standard deviations that they state and those that were left out since.
+    said : tuple of str
+        What was assumed, done and left out, in words.
+    """
+
+    imu_late: float = 0.0
+    gnss: GnssRecord | None = None
+    said: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.imu_late):
+            raise InputError(f"{self.imu_late} s were taken off the stamps of the IMU, expected a finite number")
 
 
 @dataclass(frozen=True)
@@ -464,6 +491,8 @@ class Recording:
         When time 0 was. What is read counts from the second in which its first IMU row lies, or from the origin that the file states.
     remarks : tuple of str
         What was found and done when it was read.
+    preparation : Preparation, optional
+        What was done to it before it was written.
     """
 
     imu: ImuRecord
@@ -474,6 +503,17 @@ class Recording:
     initial: InitialState | None = None
     origin: Origin = OWN
     remarks: tuple[str, ...] = ()
+    preparation: Preparation | None = None
+
+    def as_measured(self) -> Recording:
+        """The recording before its preparation: fixes as they were recorded, the IMU on its own clock."""
+        done = self.preparation
+        if done is None:
+            return self
+        imu, late, first = replace(self.imu, t=self.imu.t + done.imu_late), done.imu_late, self.initial
+        aids = tuple(a.later(late) for a in self.aids)
+        first = None if first is None else replace(first, t=first.t + late)
+        return replace(self, imu=imu, gnss=done.gnss or self.gnss, aids=aids, initial=first, preparation=None)
 
     def from_start(self) -> Recording:
         """The same recording with times from the second of its first IMU row, where its clock began longer before than it lasts."""
@@ -485,9 +525,12 @@ class Recording:
             start, since = counted(times)
             return since + (start - first) / SECOND
 
-        gnss, reference, initial = self.gnss, self.reference, self.initial
+        gnss, reference, initial, done = self.gnss, self.reference, self.initial, self.preparation
+        if done is not None and done.gnss is not None:
+            done = replace(done, gnss=replace(done.gnss, t=moved(done.gnss.t)))
         return replace(
             self,
+            preparation=done,
             imu=replace(self.imu, t=t),
             gnss=None if gnss is None else replace(gnss, t=moved(gnss.t)),
             reference=None if reference is None else replace(reference, t=moved(reference.t)),

@@ -30,7 +30,9 @@ def test_a_bias_is_taken_off_as_far_as_the_filter_does_not_know_it() -> None:
     """The share of the alignment's value that is likeliest under the belief; all of one that the belief contradicts."""
     start = found([1e-3, 1e-3, 5e-2], [1e-3, 1e-3, 1e-3])
     assert start.bias_beyond()[:3] == pytest.approx([1e-3, 1e-3, 5e-2])
-    assert start.bias_beyond(np.array([1e-6, 1e-3, 1e-3, 1.0, 1.0, 1.0]))[:3] == pytest.approx([1e-9, 5e-4, 5e-2], rel=1e-3)
+    assert start.bias_beyond(np.array([1e-6, 1e-3, 1e-3, 1.0, 1.0, 1.0]))[:3] == pytest.approx(
+        [1e-9, 5e-4, 5e-2], rel=1e-3
+    )
     assert start.bias_beyond(np.full(6, np.nan))[:3] == pytest.approx([1e-3, 1e-3, 5e-2])
     nothing = found([np.nan] * 3, [np.nan] * 3)
     assert not nothing.bias_beyond(np.full(6, 1e-3)).any() and not nothing.bias_beyond().any()

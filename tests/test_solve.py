@@ -19,6 +19,7 @@ from insemu.evaluate.emulated import EmulatedWorld
 from insemu.filters import smooth
 from insemu.formats import read_recording
 from insemu.formats import write as write_recording
+from insemu.gap import Nominal, session
 from insemu.records import GnssRecord, ImuRecord, Recording
 from insemu.report import solve_answer
 from insemu.scenario import load
@@ -358,6 +359,31 @@ def test_a_generic_grade_knows_its_error_on_every_real_drive(name: str, grade: s
     assert 0.3 < float(fixes.nis[fixes.accepted].sum() / fixes.dof[fixes.accepted].sum()) < 3.0
 
 
+def test_what_was_taken_off_stays_with_the_recording(
+    solution: Solution, recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A clock that is late, taken off by solve, was "nothing missing" for gap: it looks at the recording as it was measured."""
+    write(solution, tmp_path)
+    held = read_recording(tmp_path / "solved.npz")
+    assert held.preparation is not None and held.preparation.said == solution.drive.said
+    assert held.preparation.imu_late == pytest.approx(LATE, abs=0.01)
+    looked: list[Recording] = []
+
+    def find(measured: Recording, *_: object) -> None:
+        looked.append(measured)
+        raise InputError("enough")
+
+    monkeypatch.setattr(session, "_find", find)
+    for given in (held, held.as_measured()):
+        with pytest.raises(InputError, match="enough"):
+            session.find_gap(given, Nominal({}), rng=np.random.default_rng(1))
+    for seen in looked:
+        np.testing.assert_allclose(seen.imu.t, recording.imu.t, atol=1e-9)
+        assert seen.gnss is not None and recording.gnss is not None
+        np.testing.assert_allclose(seen.gnss.llh, recording.gnss.llh, atol=1e-12)
+        assert seen.gnss.pos_std_ned is not None and (seen.gnss.pos_std_ned == 0.05).all()
+
+
 def test_solved_tracks_are_exported(solution: Solution, tmp_path: Path) -> None:
     write(solution, tmp_path / "solved")
     for name in ("a.kml", "a.gpx", "a.pos", "a.tum"):
@@ -370,7 +396,10 @@ def test_solved_tracks_are_exported(solution: Solution, tmp_path: Path) -> None:
 
 def test_a_short_record_and_a_lost_filter_are_told(recording: Recording) -> None:
     drive = prepared(recording).started()
-    short = replace(recording, imu=recording.imu.rows(recording.imu.t < drive.aligned.t + 35.0))
+    late = drive.aligned.t + 30.0  # no fix before it
+    short = replace(recording, imu=recording.imu.rows(recording.imu.t < late + 35.0))
+    assert recording.gnss is not None
+    short = replace(short, gnss=recording.gnss.rows(recording.gnss.t > late))
     with pytest.raises(InputError, match=r"the filter can start at .* expected at least 40 s between"):
         solve(short, intake.examine(short), candidates()[2:3])
     good = candidates()[1]

@@ -75,9 +75,7 @@ class RecordedWorld:
         self.vehicle_imu = self._in_vehicle(self.recorded_imu)
         self.warnings += tuple(_bridged(self.vehicle_imu, self.source.file))
         late = self.source.imu_time_offset  # aids are on the IMU's clock
-        self.aids = tuple(
-            replace(a, t=a.t - late, since=None if a.since is None else a.since - late) for a in recording.aids
-        )
+        self.aids = tuple(a.later(-late) for a in recording.aids)
         self.known = None
         if recording.initial is not None:
             attitude = rotation.dcm_from_rpy(recording.initial.rpy) @ C.T

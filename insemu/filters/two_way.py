@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from insemu import earth, rotation
 from insemu.errors import InputError
-from insemu.filters.alignment import Alignment, sigma_of_fixes
+from insemu.filters.alignment import LARGEST_HEADING_SIGMA, Alignment, sigma_of_fixes
 from insemu.filters.ekf import LooselyCoupledEKF
-from insemu.filters.motion import ACCEL_BIAS, LEAST_HEADING, LEAST_TILT, LEAST_VELOCITY, WORST, attitudes, white_noise
+from insemu.filters.motion import ACCEL_BIAS, LEAST_HEADING, LEAST_TILT, LEAST_VELOCITY, attitudes, white_noise
 from insemu.filters.options import FilterOptions, InitialSigma
 from insemu.filters.rest import BIAS_SIGMA, rests
 from insemu.filters.smoother import smooth
@@ -33,14 +33,14 @@ Array = NDArray[np.float64]
 AFTER_S = 300.0
 #: Walk of the biases over these seconds, rad/s and m/s^2 (in-run changes of consumer MEMS).
 WALK = (np.deg2rad(0.05), 0.05)
-#: Factor on standard deviations for fixes that are used twice.
+#: Factor on standard deviations for fixes that are used twice; where the innovations are larger than stated by more than that, this factor.
 CAUTION = 3.0
 #: The covariance moves every so many seconds.
 STEP_S = 0.05
 #: Place and velocity come from the fixes of so many seconds, s, of this many positions at least, within the longest.
 FIRST_S, FEWEST, LONGEST_S = 5.0, 4, 20.0
-#: A fix this many standard deviations from the others of these seconds is left out.
-FAR = 5.0
+#: A fix this many standard deviations from the others of these seconds is left out, as the last of so many turns of weighted least squares says.
+FAR, TURNS = 5.0, 20
 #: A step of the IMU longer than this is not crossed, s.
 BRIDGED_S = 1.0
 
@@ -71,29 +71,29 @@ def from_both_sides(
     fixes = known.rows(np.isfinite(known.llh).all(axis=1) & (known.t > r.t[0]) & (known.t <= r.t[-1]))
     noise = white_noise(r)
     try:
-        C, bias, P = _after(r, fixes, later, noise, lever_arm, gravity)
+        C, bias, P, scale = _after(r, fixes, later, noise, lever_arm, gravity)
     except InputError:
         return later
-    # no further back than the biases let the attitude be known, nor over a gap
-    reach = float(WORST / max(np.sqrt(np.diag(P)[3:6].max()), 1e-9))
+    caution = max(CAUTION, float(np.sqrt(scale)))
     gaps = np.flatnonzero(np.diff(r.t[: later.row + 1]) > BRIDGED_S)
-    earliest = max(later.t - reach, float(r.t[gaps[-1] + 1]) if gaps.size else -np.inf)
-    first = int(np.searchsorted(fixes.t, earliest))
-    if first >= len(fixes) or fixes.t[first] >= later.t:
-        return later
-    row = int(np.searchsorted(r.t, fixes.t[first] - 1e-9))
+    first = int(np.searchsorted(fixes.t, r.t[gaps[-1] + 1] if gaps.size else r.t[0]))
     step = np.diff(r.t, prepend=2.0 * r.t[0] - r.t[1])[:, None]
     clean = replace(r, gyro=r.gyro - bias[:3] * step, accel=r.accel - bias[3:] * step)
-    back = slice(row, later.row + 1)
-    rate, start = earth.earth_rate(float(fixes.llh[first, 0])), C
-    for _ in range(3):
-        Q = attitudes(clean.gyro[back], start.T @ rate, step[back, 0])
-        start = C @ Q[-1].T
-    spent = start @ (0.5 * (Q[1:] + Q[:-1]) * step[back][1:, :, None]).sum(axis=0)
-    A = np.hstack([np.eye(3), spent])
-    attitude = A @ P[:6, :6] @ A.T + noise[0] ** 2 * (later.t - r.t[row]) * np.eye(3)
+    while first < len(fixes) and fixes.t[first] < later.t - FIRST_S:
+        row = int(np.searchsorted(r.t, fixes.t[first] - 1e-9))
+        start, attitude = _carried(
+            clean.rows(slice(row, later.row + 1)), C, P[:6, :6], noise[0], float(fixes.llh[first, 0])
+        )
+        if caution * np.sqrt(np.diag(attitude).max()) <= LARGEST_HEADING_SIGMA:
+            break
+        first = (first + int(np.searchsorted(fixes.t, later.t)) + 1) // 2  # less far back
+    else:
+        return later
     rpy = rotation.rpy_from_dcm(start)
-    found = _place_and_velocity(clean, fixes, row, rpy, lever_arm, gravity)
+    g = float(earth.gravity(fixes.llh[first, 0], fixes.llh[first, 2], gravity))
+    tilt, unknown = np.sqrt(np.diag(attitude)), np.sqrt(float(np.diag(P)[6:].max()))
+    push = np.array([np.hypot(g * tilt[1], unknown), np.hypot(g * tilt[0], unknown), unknown])
+    found = _place_and_velocity(clean, fixes, row, rpy, push, lever_arm, gravity)
     if found is None:
         return later
     state, place, velocity = found
@@ -101,10 +101,35 @@ def from_both_sides(
     sigma = InitialSigma(
         np.maximum(CAUTION * place, _of_fix(fixes.pos_std_ned, first)),
         np.maximum(np.maximum(CAUTION * velocity, LEAST_VELOCITY), _of_fix(fixes.vel_std_ned, first)),
-        np.maximum(CAUTION * np.sqrt(np.diag(attitude)), least),
+        np.maximum(caution * np.sqrt(np.diag(attitude)), least),
     )
-    out = Alignment(float(r.t[row]), row, state, sigma, bias, np.sqrt(np.diag(P)[3:]), ())
+    out = Alignment(float(r.t[row]), row, state, sigma, bias, np.sqrt(scale * np.diag(P)[3:]), ())
     return replace(out, standstill=tuple(rests(imu, gnss, bias=out.known_bias)))
+
+
+def _carried(part: ImuRecord, C: Array, P: Array, noise: float, latitude: float) -> tuple[Array, Array]:
+    """Attitude at the start of a record of increments and its covariance, (3, 3) each, from those at its end.
+
+    Parameters
+    ----------
+    part : ImuRecord
+        Less its biases.
+    C : (3, 3) array
+        Attitude at its end.
+    P : (6, 6) array
+        Covariance of that attitude and of the biases of the gyroscopes.
+    noise : float
+        White noise of the gyroscopes, rad/s/sqrt(Hz).
+    latitude : float
+        rad.
+    """
+    step, rate, start = np.diff(part.t, prepend=part.t[0]), earth.earth_rate(latitude), C
+    for _ in range(3):
+        Q = attitudes(part.gyro, start.T @ rate, step)
+        start = C @ Q[-1].T
+    spent = start @ (0.5 * (Q[1:] + Q[:-1]) * step[1:, None, None]).sum(axis=0)
+    A = np.hstack([np.eye(3), spent])
+    return start, A @ P @ A.T + noise**2 * (part.t[-1] - part.t[0]) * np.eye(3)
 
 
 def _of_fix(sigma: Array | None, fix: int) -> Array:
@@ -114,9 +139,9 @@ def _of_fix(sigma: Array | None, fix: int) -> Array:
 
 def _after(
     r: ImuRecord, fixes: GnssRecord, later: Alignment, noise: tuple[float, float], lever_arm: Array, gravity: str
-) -> tuple[Array, Array, Array]:
-    """Attitude (3, 3) and biases (6,) at an alignment as the fixes after it tell them, too, and the covariance of both (9, 9); arguments as in
-    :func:`from_both_sides`.
+) -> tuple[Array, Array, Array, float]:
+    """Attitude (3, 3) and biases (6,) at an alignment as the fixes after it tell them, too, the covariance of both (9, 9), and by what factor the
+    innovations exceed theirs (variances, at least 1); arguments as in :func:`from_both_sides`.
     """
     span = r.rows((r.t >= later.t - 1e-9) & (r.t <= later.t + AFTER_S))
     unknown = np.repeat([BIAS_SIGMA, ACCEL_BIAS], 3)
@@ -136,11 +161,11 @@ def _after(
     s, used = smooth(run), run.fixes.accepted
     scale = max(1.0, float(run.fixes.nis[used].sum() / max(run.fixes.dof[used].sum(), 1)))
     C = rotation.dcm_from_quaternion(s.nav[0, 6:10])
-    return C, s.imu_states[0, :6], scale * s.covariance[0][6:15, 6:15]
+    return C, s.imu_states[0, :6], s.covariance[0][6:15, 6:15], scale
 
 
 def _place_and_velocity(
-    r: ImuRecord, fixes: GnssRecord, row: int, rpy: Array, lever_arm: Array, gravity: str
+    r: ImuRecord, fixes: GnssRecord, row: int, rpy: Array, push: Array, lever_arm: Array, gravity: str
 ) -> tuple[NavState, Array, Array] | None:
     """The state at a row of a record less its biases, by least squares on the fixes after it, and standard deviations of place and velocity.
 
@@ -152,6 +177,8 @@ def _place_and_velocity(
         Where the filter starts.
     rpy : (3,) array
         Attitude there, rad.
+    push : (3,) array
+        Standard deviation of the acceleration that an error of the attitude or of a bias makes, m/s^2.
     lever_arm, gravity
         As in :func:`from_both_sides`.
 
@@ -170,11 +197,11 @@ def _place_and_velocity(
     part = r.rows(slice(row, last + 1))
     at = np.clip(np.searchsorted(part.t, fixes.t[rows] - 1e-9), 0, len(part) - 1)
     since = (fixes.t[rows] - part.t[0])[:, None]
-    place, velocity = fixes.llh[first], np.zeros(3)
-    design, sigma = np.stack([np.ones_like(since), since], axis=1), fixes.pos_std_ned[rows]
+    place, velocity, nothing = fixes.llh[first], np.zeros(3), np.zeros_like(since)
+    design, sigma = np.hstack([nothing + 1.0, since, 0.5 * since**2]), fixes.pos_std_ned[rows]
     if fixes.vel_ned is not None:
-        design = np.concatenate([design, np.stack([np.zeros_like(since), np.ones_like(since)], axis=1)])
         assert fixes.vel_std_ned is not None  # as stated or taken from the scatter
+        design = np.concatenate([design, np.hstack([nothing, nothing + 1.0, since])])
         sigma = np.concatenate([sigma, fixes.vel_std_ned[rows]])
     for _ in range(3):
         nav = mechanize_array(part, NavState(place, velocity, rpy), gravity=gravity)[at]
@@ -183,25 +210,29 @@ def _place_and_velocity(
         antenna = earth.move(nav[:, :3], nav[:, 3:6] * late[:, None] + C @ lever_arm)
         left = earth.position_difference(fixes.llh[rows], antenna)
         if fixes.vel_ned is not None:
-            turn = np.cross(r.rates()[row + at, :3], lever_arm)
+            turn = np.cross(part.rates()[at, :3], lever_arm)
             left = np.concatenate([left, fixes.vel_ned[rows] - nav[:, 3:6] - np.einsum("kij,kj->ki", C, turn)])
-        fitted = [_line(design[:, :, 0], left[:, i], sigma[:, i]) for i in range(3)]
+        fitted = [_fitted(design, left[:, i], sigma[:, i], float(push[i])) for i in range(3)]
         place = earth.move(place, np.array([f[0][0] for f in fitted]))
         velocity = velocity + np.array([f[0][1] for f in fitted])
     sd = np.array([f[1] for f in fitted])
     return NavState(place, velocity, rpy), sd[:, 0], sd[:, 1]
 
 
-def _line(design: Array, left: Array, sigma: Array) -> tuple[Array, Array]:
-    """Place and velocity (2,) of one axis with their standard deviations, from residuals (k,) less those far from the others."""
+def _fitted(design: Array, left: Array, sigma: Array, push: float) -> tuple[Array, Array]:
+    """Place, velocity and acceleration (3,) of one axis with their standard deviations, from residuals (k,) less those far from the others; the
+    acceleration is zero but for ``push``, m/s^2.
+    """
     use = np.isfinite(left) & np.isfinite(sigma)
-    weight = np.where(use, 1.0 / np.where(use, sigma, 1.0), 0.0)
-    x, scale = np.zeros(2), 1.0
-    for _ in range(3):
-        H, y = design * weight[:, None], np.where(use, left, 0.0) * weight
-        spread = np.linalg.pinv(H.T @ H)
-        x = spread @ H.T @ y
-        size = np.abs(y - H @ x)
-        scale = max(1.0, 1.4826 * float(np.median(size[weight > 0.0])))
-        weight = np.where(size > FAR * scale, 0.0, weight)
-    return x, scale * np.sqrt(np.diag(spread))
+    stated = np.where(use, 1.0 / np.where(use, sigma, 1.0), 0.0)
+    y, prior, weight, scale = np.where(use, left, 0.0), np.diag([0.0, 0.0, push**-2.0]), stated, 1.0
+    for turn in range(TURNS):
+        H = design * weight[:, None]
+        spread = np.linalg.inv(H.T @ H / scale**2 + prior)
+        x = spread @ H.T @ (weight * y) / scale**2
+        size = np.abs(y - design @ x) * stated
+        scale = max(1.0, 1.4826 * float(np.median(size[use])))
+        # the nearer to least absolute residuals, the less a far one pulls; at the end it is left out
+        least = np.sqrt(np.minimum(1.0, scale / np.maximum(size, 1e-12)))
+        weight = stated * (least if turn < TURNS - 2 else size <= FAR * scale)
+    return x, np.sqrt(np.diag(spread))

@@ -6,6 +6,7 @@ Keys: ``imu_kind`` (increment, mean, sample; default sample), ``imu_t``, ``imu``
 ``_neu`` is the same with up instead of down. A state to start from may be given: ``initial_t``, ``initial_llh`` (deg, deg, m),
 ``initial_vel_ned``, ``initial_rpy_deg``, ``initial_sigma`` (nine: m, m/s, deg). Measurements beside the fixes, NAME of docs/filters.md,
 "Aids": ``aid_NAME_t`` (n,), ``aid_NAME`` and ``aid_NAME_std`` (n, rows), optionally ``aid_NAME_settings`` and ``aid_NAME_since`` (n,), SI.
+What was done to it before: ``prepared_imu_late`` (s), ``prepared_said`` (text), ``prepared_gnss_t``, ... (the fixes as they were recorded).
 Times count from ``origin_ns`` (whole ns) of ``origin_clock`` (gps, sow, unix; "" of a clock of the device's own) where a file states them;
 otherwise they are of a clock of its own, and where that began longer before than the recording lasts (s of the week, since 1970), the
 recording counts from the second of its first IMU row. Other keys are ignored.
@@ -25,9 +26,19 @@ from insemu.errors import InputError
 from insemu.formats.clocks import CLOCKS
 from insemu.formats.columns import split_header
 from insemu.formats.decoding import decoding, open_text
-from insemu.formats.npz import keys_of, load_npy, load_npz, numbers, texts
+from insemu.formats.npz import keys_of, load_npy, load_npz, numbers, scalar, texts
 from insemu.formats.text import read_table, write_table
-from insemu.records import COLUMNS, AidRecord, GnssRecord, ImuKind, ImuRecord, InitialState, Recording, Trajectory
+from insemu.records import (
+    COLUMNS,
+    AidRecord,
+    GnssRecord,
+    ImuKind,
+    ImuRecord,
+    InitialState,
+    Preparation,
+    Recording,
+    Trajectory,
+)
 from insemu.stamps import OWN, Origin
 from insemu.units import parse_unit
 from insemu.whole import replacing, replacing_folder
@@ -100,8 +111,20 @@ def read_recording(path: Path) -> Recording:
         aids = _aids(arrays, source)
     except InputError as error:
         raise error if error.where else InputError(error.message, where=source) from None
-    found = Recording(imu, gnss, reference, source, aids, _initial(arrays, source), origin_of(arrays, source))
+    origin, done = origin_of(arrays, source), _preparation(arrays, source)
+    found = Recording(imu, gnss, reference, source, aids, _initial(arrays, source), origin, done)
     return found if "origin_ns" in arrays else found.from_start()
+
+
+def _preparation(arrays: Mapping[str, NDArray[Any]], source: str) -> Preparation | None:
+    """What was done to a recording before it was written; see the module."""
+    if "prepared_imu_late" not in arrays:
+        return None
+    where = f"{source}: prepared_"
+    late = scalar(arrays["prepared_imu_late"], f"{where}imu_late")
+    said = tuple(texts(arrays["prepared_said"], f"{where}said")) if "prepared_said" in arrays else ()
+    fixes = {k.removeprefix("prepared_"): v for k, v in arrays.items() if k.startswith("prepared_gnss_")}
+    return Preparation(late, _gnss(fixes, source), said)
 
 
 def origin_of(arrays: Mapping[str, NDArray[Any]], source: str) -> Origin:
@@ -375,11 +398,10 @@ def write_recording(path: Path, data: Recording) -> None:
     }
     if imu.temperature is not None:
         arrays["temperature"] = imu.temperature
-    if gnss is not None:
-        arrays |= {"gnss_t": gnss.t, "gnss_llh": gnss.llh / _DEGREES}
-        for key in ("vel_ned", "pos_std_ned", "vel_std_ned"):
-            if getattr(gnss, key) is not None:
-                arrays[f"gnss_{key}"] = getattr(gnss, key)
+    arrays |= _of_fixes(gnss)
+    if (done := data.preparation) is not None:
+        arrays |= {"prepared_imu_late": np.array(done.imu_late), "prepared_said": np.array(done.said, dtype=str)}
+        arrays |= {f"prepared_{k}": v for k, v in _of_fixes(done.gnss).items()}
     if ref is not None:
         arrays |= {
             "ref_t": ref.t,
@@ -406,7 +428,7 @@ def write_recording(path: Path, data: Recording) -> None:
         return
     groups = tuple(f"{group}.csv" for group in _GROUPS)
     with replacing_folder(
-        path, "imu.csv", (*groups, "imu_kind.txt", "initial_*.npy", "aid_*.npy", "origin_*.npy")
+        path, "imu.csv", (*groups, "imu_kind.txt", "initial_*.npy", "aid_*.npy", "origin_*.npy", "prepared_*.npy")
     ) as partial:
         (partial / "imu_kind.txt").write_text(imu.kind + "\n", encoding="utf-8")
         for group, keys in _GROUPS.items():
@@ -414,8 +436,16 @@ def write_recording(path: Path, data: Recording) -> None:
             if present:
                 header = [_with_unit(n, imu.kind) for names in present.values() for n in names]
                 write_table(partial / f"{group}.csv", header, np.column_stack([arrays[k] for k in present]))
-        for key in (k for k in arrays if k.startswith(("initial_", "aid_", "origin_"))):
+        for key in (k for k in arrays if k.startswith(("initial_", "aid_", "origin_", "prepared_"))):
             np.save(partial / f"{key}.npy", arrays[key])
+
+
+def _of_fixes(gnss: GnssRecord | None) -> dict[str, NDArray[Any]]:
+    """Fixes as arrays of a file."""
+    if gnss is None:
+        return {}
+    stated = {f"gnss_{k}": getattr(gnss, k) for k in ("vel_ned", "pos_std_ned", "vel_std_ned")}
+    return {"gnss_t": gnss.t, "gnss_llh": gnss.llh / _DEGREES, **{k: v for k, v in stated.items() if v is not None}}
 
 
 def _with_unit(name: str, kind: ImuKind) -> str:

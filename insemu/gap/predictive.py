@@ -255,6 +255,7 @@ def check(
     if recordings < 20:
         raise InputError(f"{recordings} emulated recordings say nothing of a band, expected at least 20")
     progress("the motion of the recording")
+    measured = measured.as_measured()
     twin, own = twin_of(measured, model.parted().on(measured)[0])
     names, values = statistics_of(own)
     ends = outage_errors(own, twin.outages)

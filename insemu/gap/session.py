@@ -51,7 +51,7 @@ def find_gap(
     """Find, name and add what the nominal model lacks.
 
     What the nominal model knows besides noise is taken off first; so are a time offset too large for a linear signature and, where the nominal
-    model has a ``vehicle``, wrong mounting angles.
+    model has a ``vehicle``, wrong mounting angles. A recording that was prepared (``solved.npz``) is looked at as it was measured.
 
     Parameters
     ----------
@@ -83,6 +83,7 @@ def find_gap(
     """
     believed, assumed = nominal.parted(), tuple[str, ...]()
     if isinstance(measured, Recording):
+        measured = measured.as_measured()  # what was taken off beforehand is a finding
         believed, assumed = believed.on(measured)
     with under(policy):
         report = _find(measured, believed, rng, without, hold_out, pictures, progress or (lambda _: None), flown, pool)

@@ -17,6 +17,8 @@ from insemu.units import datasheet
 
 #: Epochs of a chart at most.
 MOST_EPOCHS = 1500
+#: Share of a recording from which it is said that it is not solved.
+LEFT_OUT = 0.05
 
 
 def solve_answer(s: Solution) -> str:
@@ -28,7 +30,24 @@ def solve_answer(s: Solution) -> str:
         for a, v in s.suspects.items()
     ]
     first = f"Look at the recording first: {'; '.join(suspect)}. " if suspect else ""
-    return f"{first}Take {s.taken.candidate.name}: {', '.join(parts)} without GNSS (rms), and {_knows(s.taken)}."
+    take = f"Take {s.taken.candidate.name}: {', '.join(parts)} without GNSS (rms), and {_knows(s.taken)}."
+    return f"{first}{take}{_left_out(s)}"
+
+
+def _left_out(s: Solution) -> str:
+    """How much of the recording is not solved, and why, where it is more than :data:`LEFT_OUT`."""
+    d = s.drive
+    if d.unsolved <= LEFT_OUT:
+        return ""
+    before = d.aligned.t - float(d.imu.t[0])
+    fixes = float(d.gnss.t[0]) >= d.aligned.t - 1.0
+    why = (
+        [f"the first {before:.3g} s, {'in which there is no fix' if fixes else 'in which nothing tells the heading'}"]
+        if before > 1.0
+        else []
+    )
+    gaps = [said for said in d.said if "longest stretch" in said]
+    return f" {100.0 * d.unsolved:.2g} % of the recording are not solved: {'; '.join((*why, *gaps))}."
 
 
 def _metres(o: Outages, k: int) -> str:

@@ -57,6 +57,10 @@ class Drive:
         Where the filters start.
     origin : Origin
         When time 0 was.
+    measured : GnssRecord, optional
+        The fixes as they were recorded.
+    recorded : float
+        Seconds that the IMU was recorded for.
     """
 
     imu: ImuRecord
@@ -72,6 +76,13 @@ class Drive:
     known: InitialState | None = None
     start: Alignment | None = None
     origin: Origin = OWN
+    measured: GnssRecord | None = None
+    recorded: float = 0.0
+
+    @property
+    def unsolved(self) -> float:
+        """Share of the recording before the start and beside the stretch that is solved."""
+        return max(0.0, 1.0 - (float(self.imu.t[-1]) - self.aligned.t) / self.recorded) if self.recorded else 0.0
 
     @property
     def aligned(self) -> Alignment:
@@ -101,7 +112,9 @@ class Drive:
         known = None if self.known is None else replace(self.known, t=self.known.t - late)
         imu = replace(self.imu, t=self.imu.t - late)
         inside = (self.gnss.t > imu.t[0]) & (self.gnss.t <= imu.t[-1])
-        return replace(self, imu=imu, gnss=self.gnss.rows(inside), clock=self.clock + late, known=known, start=None)
+        aids = tuple(a.later(-late) for a in self.aids)  # on the clock of the IMU
+        gnss = self.gnss.rows(inside)
+        return replace(self, imu=imu, gnss=gnss, aids=aids, clock=self.clock + late, known=known, start=None)
 
     def reference(self) -> GnssRecord:
         """The fixes that outages are held against, with the standard deviations of their scatter."""
@@ -132,6 +145,7 @@ def prepared(recording: Recording, lever_arm: ArrayLike = (0.0, 0.0, 0.0)) -> Dr
     InputError
         No fixes, too few of them, or no stretch of IMU data long enough.
     """
+    recording = recording.as_measured()
     where = recording.source
     if recording.gnss is None:
         raise InputError("has no GNSS fixes; name the file that does with --gnss", where=where)
@@ -167,6 +181,8 @@ def prepared(recording: Recording, lever_arm: ArrayLike = (0.0, 0.0, 0.0)) -> Dr
         aids=recording.aids,
         known=recording.initial,
         origin=recording.origin,
+        measured=recording.gnss,
+        recorded=float(recording.imu.t[-1] - recording.imu.t[0]),
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from insemu import formats, noise, rotation
 from insemu.errors import InputError
 from insemu.formats import Way, utc_of, write_table, write_way
-from insemu.records import Recording
+from insemu.records import Preparation, Recording
 from insemu.shown import finite
 from insemu.solve.against import Comparison
 from insemu.solve.outages import Outages
@@ -40,6 +40,7 @@ def summary(solution: Solution, compared: Comparison | None = None) -> dict[str,
         "reference": "the fixes after each outage, at the antenna; their own scatter is taken off the metres",
         "start_s": d.aligned.t,
         "end_s": float(d.imu.t[-1]),
+        "unsolved_share": d.unsolved,
         "taken": solution.taken.figures(),
         "tried": [s.figures() for s in solution.tried],
         "knows_its_error": solution.taken.factor == 1.0,
@@ -175,7 +176,9 @@ def write(solution: Solution, folder: Path) -> list[Path]:
     dated = (".kml", ".gpx", ".pos") if utc_of(way.origin) is not None else ()
     out += [write_way(way, folder / f"trajectory{end}") for end in (".csv", ".tum", *dated)]
     # on the clock of the fixes, so that the solution, the fixes and the IMU agree
-    solved = Recording(d.imu, d.gnss, replace(s.trajectory, name="solution"), d.source, d.aids, origin=d.origin)
+    done = Preparation(d.clock, d.measured, d.said)
+    way_solved = replace(s.trajectory, name="solution")
+    solved = Recording(d.imu, d.gnss, way_solved, d.source, d.aids, origin=d.origin, preparation=done)
     out.append(formats.write(folder / "solved.npz", solved))
     noise.save(dict(solution.taken.candidate.belief), folder / "models.yaml")
     o = solution.taken.outages

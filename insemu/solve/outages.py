@@ -206,7 +206,7 @@ def cut_everywhere(
     gnss : GnssRecord
         The fixes that outages are held against, with the standard deviations of their own scatter.
     settled : float, optional
-        When the first outage may begin, s; :data:`SETTLED_S` after the start where it is left out.
+        When the first outage may begin, s; :func:`settled_at` of the run where it is left out.
     every : float
         Seconds from one outage to the next.
     horizons : sequence of float
@@ -222,7 +222,7 @@ def cut_everywhere(
     nodes = run.nodes
     if nodes is None or gnss.pos_std_ned is None:
         raise InputError("the run kept no nodes, or the fixes have no standard deviations")
-    first = nodes.t[0] + SETTLED_S if settled is None else settled
+    first = settled_at(run) if settled is None else settled
     begins = np.arange(first, nodes.t[-1] - horizons[0], every)
     rows = np.unique(np.searchsorted(nodes.t, begins - 1e-6).clip(0, len(nodes) - 1))
     since = last_used(run, nodes.t)

@@ -102,6 +102,7 @@ def levels_of(
     """
     if measured.gnss is None:
         raise InputError("has no GNSS fixes, expected a drive or flight with fixes", where=measured.source)
+    measured = measured.as_measured()
     nominal, _ = nominal.parted().on(measured)
     recording, moved = drive_without(measured, nominal, filled=True)
     imu, gnss, state, sigma = starting_state(recording, moved)
