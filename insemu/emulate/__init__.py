@@ -1,8 +1,5 @@
 """Emulation: from a trajectory to an ideal IMU, to a corrupted one, to GNSS fixes with outages."""
 
-import sys
-
-from insemu import CalledRoom
 from insemu.emulate.differenced import Differenced, difference
 from insemu.emulate.errors import RecordedErrors
 from insemu.emulate.flight import Flight, gusts, moving_share, origin_at
@@ -69,5 +66,3 @@ __all__ = [
     "state_at",
     "turn_rate",
 ]
-
-sys.modules[__name__].__class__ = CalledRoom
