@@ -11,7 +11,7 @@ from insemu.emulate.pieces import ErrorPieces, Following, TrueStates, recorded_p
 from insemu.emulate.reckon import DeadReckoning, dead_reckon
 from insemu.emulate.sensor import Corrupted, TemperatureProfile, corrupt, covariates_of
 from insemu.emulate.sources import Source, load_flight, read_track
-from insemu.emulate.track import SmoothedTrack, Track, held_out_distance, smooth_track, turn_rate
+from insemu.emulate.track import SmoothedTrack, Track, bridged_gap, held_out_distance, smooth_track, turn_rate
 from insemu.emulate.trajectory import TRAJECTORIES, built_in
 from insemu.emulate.vehicle import VEHICLES
 from insemu.emulate.waypoints import Waypoints, read_waypoints, route
@@ -39,6 +39,7 @@ __all__ = [
     "TrueStates",
     "Waypoints",
     "antenna",
+    "bridged_gap",
     "built_in",
     "corrupt",
     "covariates_of",
