@@ -17,8 +17,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from insemu import emulate, strapdown
+from insemu import strapdown
 from insemu.effects import EFFECTS, EffectUse
+from insemu.emulate import TemperatureProfile, built_in, corrupt, gnss_fixes, ideal_imu
 from insemu.noise import GM, WN
 from insemu.records import AXES
 
@@ -61,13 +62,13 @@ def every_effect(ids: Iterable[str] = tuple(EFFECTS)) -> list[EffectUse]:
 
 
 def main() -> int:
-    flight = emulate.built_in("helicopter_mapping")
-    ideal = emulate.ideal_imu(flight)
+    flight = built_in("helicopter_mapping")
+    ideal = ideal_imu(flight)
     n = len(ideal.imu)
     start = strapdown.NavState.of(ideal.reference)
     nodes = flight.path.sample(ideal.imu.t)
     truth = {axis: 2 * GM(1e-4, 0.01) + WN(1e-4) for axis in AXES}
-    temperature = emulate.TemperatureProfile((0.0, 1200.0), (20.0, 45.0))
+    temperature = TemperatureProfile((0.0, 1200.0), (20.0, 45.0))
     uses, catalogue = every_effect(SENSOR_ERRORS), every_effect()
     rng = np.random.default_rng(1)
 
@@ -79,19 +80,19 @@ def main() -> int:
             step(nav, gyro[k], accel[k], gyro[max(k - 1, 1)], accel[max(k - 1, 1)], 0.01, 0.01, 0)
 
     def all_errors(effects: list[EffectUse]) -> None:
-        emulate.corrupt(ideal.imu, truth, rng, effects=effects, reference=ideal.reference, temperature=temperature)
+        corrupt(ideal.imu, truth, rng, effects=effects, reference=ideal.reference, temperature=temperature)
 
     work: list[tuple[str, Callable[[], object], float, int]] = [
         ("mechanization", lambda: strapdown.mechanize_array(ideal.imu, start), n, 20),
         ("the same step in Python", interpreted, 500, 3),
-        ("ideal IMU, exact, from nodes", lambda: emulate.ideal_imu(nodes), n, 7),
-        ("ideal IMU, exact, from the path", lambda: emulate.ideal_imu(flight), n, 7),
-        ("ideal IMU, continuous", lambda: emulate.ideal_imu(flight, mode="continuous"), n, 3),
-        ("noise model (2 GM + WN per axis)", lambda: emulate.corrupt(ideal.imu, truth, rng), n, 7),
+        ("ideal IMU, exact, from nodes", lambda: ideal_imu(nodes), n, 7),
+        ("ideal IMU, exact, from the path", lambda: ideal_imu(flight), n, 7),
+        ("ideal IMU, continuous", lambda: ideal_imu(flight, mode="continuous"), n, 3),
+        ("noise model (2 GM + WN per axis)", lambda: corrupt(ideal.imu, truth, rng), n, 7),
         ("every sensor error", lambda: all_errors(uses), n, 7),
         ("the whole catalogue at once", lambda: all_errors(catalogue), n, 5),
         ("six white noises", lambda: rng.standard_normal((n, 6)), n, 7),
-        ("GNSS fixes, 10 Hz", lambda: emulate.gnss_fixes(ideal.reference, 10.0, rng=rng), n / 10, 7),
+        ("GNSS fixes, 10 Hz", lambda: gnss_fixes(ideal.reference, 10.0, rng=rng), n / 10, 7),
     ]
     rates = {}
     print(f"{'':<36}{'million/s':>12}{'ns each':>10}")

@@ -18,7 +18,8 @@ from scipy.signal import welch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from insemu import earth, emulate, rotation, strapdown
+from insemu import earth, rotation, strapdown
+from insemu.emulate import TRAJECTORIES, Track, built_in, ideal_imu, navigation_error, smooth_track
 from insemu.emulate.drives import outage_windows
 from insemu.emulate.reckon import dead_reckon
 from insemu.emulate.track import held_out_distance, turn_rate
@@ -56,14 +57,14 @@ def largest(errors: Array) -> tuple[float, float]:
 
 def exact() -> None:
     print("\nexact mode, 100 Hz, 20 minutes (or the whole flight): mechanization against its reference")
-    flights = [emulate.built_in(name) for name in emulate.TRAJECTORIES]
+    flights = [built_in(name) for name in TRAJECTORIES]
     sources = [(f.name, f.path) for f in flights]
     drive = shared("real/rtkexp_drive.npz")
     if drive is not None:
         gnss = read_recording(drive).gnss
-        sources.append(("path of rtkexp_drive", emulate.smooth_track(gnss).path))
+        sources.append(("path of rtkexp_drive", smooth_track(gnss).path))
     for name, path in sources:
-        ideal = emulate.ideal_imu(path, span=(path.start, min(path.end, path.start + 1200.0)))
+        ideal = ideal_imu(path, span=(path.start, min(path.end, path.start + 1200.0)))
         nav = strapdown.mechanize(ideal.imu, ideal.reference)
         position = np.linalg.norm(earth.position_difference(nav.llh, ideal.reference.llh), axis=1).max()
         say(f"{name}: position", position, "m", 1e-6)
@@ -74,13 +75,13 @@ def exact() -> None:
 def continuous() -> None:
     print("\ncontinuous mode, increments, our mechanization, 20 minutes (or the whole drive)")
     limits = {"urban_drive_1": 0.010, "urban_drive_2": 0.010, "turbulent_uav": 0.050}
-    for name in emulate.TRAJECTORIES:
-        path = emulate.built_in(name).path
+    for name in TRAJECTORIES:
+        path = built_in(name).path
         span = (path.start, min(path.end, path.start + 1200.0))
         at = {}
         for rate in (50.0, 100.0, 200.0):
-            ideal = emulate.ideal_imu(path, rate, mode="continuous", span=span)
-            at[rate] = largest(emulate.navigation_error(ideal))[0]
+            ideal = ideal_imu(path, rate, mode="continuous", span=span)
+            at[rate] = largest(navigation_error(ideal))[0]
         say(f"{name}: largest position error at 100 Hz", at[100.0], "m", limits.get(name))
         if name != "static":  # at rest there is nothing but rounding
             for coarse in (50.0, 100.0):
@@ -98,9 +99,7 @@ def turbulence() -> None:
     print(
         "\nhow turbulent the turbulent UAV is: rms of the angular rate, deg/s, by band (0.1-0.5, 0.5-2, 2-10 Hz) and axis"
     )
-    flights = {
-        "ours": emulate.ideal_imu(emulate.built_in("turbulent_uav").path, mode="continuous").imu.gyro[10000:110000]
-    }
+    flights = {"ours": ideal_imu(built_in("turbulent_uav").path, mode="continuous").imu.gyro[10000:110000]}
     file = shared("fixtures/inertial/uav_100hz.npz")
     if file is not None:
         flights["fixture uav_100hz"] = np.load(file)["gyro_incr"]
@@ -114,7 +113,7 @@ def turbulence() -> None:
     light = np.rad2deg(1.9 * 0.77 / np.sqrt(100.0 * 2.0))
     say("roll rate of light Dryden turbulence, span 2 m at 100 m", light, "deg/s")
     path = turbulent_uav(2.0).path
-    at = [largest(emulate.navigation_error(emulate.ideal_imu(path, r, mode="continuous")))[0] for r in (100.0, 200.0)]
+    at = [largest(navigation_error(ideal_imu(path, r, mode="continuous")))[0] for r in (100.0, 200.0)]
     say("twice the gusts (moderate): largest position error at 100 Hz", at[0], "m")
     say("twice the gusts (moderate): at 200 Hz", at[1], "m")
 
@@ -222,7 +221,7 @@ def geodesy() -> None:
 def windows() -> None:
     print("\noutage windows of the urban drives beside tables 9 and 10 of Quinchia et al. (2013)")
     print(f"  {'outage':<8}{'start':>8}{'duration':>10}{'printed':>9}{'km/h':>9}{'printed':>9}{'turn':>9}   printed")
-    drives = [emulate.built_in(name) for name in ("urban_drive_1", "urban_drive_2")]
+    drives = [built_in(name) for name in ("urban_drive_1", "urban_drive_2")]
     rows = outage_windows(drives)
     for r in rows:
         print(
@@ -248,13 +247,13 @@ def track() -> None:
     file = shared("real/rtkexp_drive.npz")
     if file is None:
         return
-    recorded = emulate.Track.of(read_recording(file).gnss, "rtkexp_drive")
-    without = emulate.Track(recorded.t, recorded.llh, None, None, recorded.pos_std, recorded.vel_std, recorded.name)
+    recorded = Track.of(read_recording(file).gnss, "rtkexp_drive")
+    without = Track(recorded.t, recorded.llh, None, None, recorded.pos_std, recorded.vel_std, recorded.name)
     for name, given in (("position and velocity", recorded), ("position only", without)):
         distance = held_out_distance(given)
         say(f"{name}: median distance", float(np.median(distance)), "m", 0.1)
         say(f"{name}: 95th percentile", float(np.percentile(distance, 95)), "m")
-    path = emulate.smooth_track(recorded).path
+    path = smooth_track(recorded).path
     t = np.arange(path.start, path.end, 0.05)
     k = path.kinematics(t)
     say("largest speed", float(np.hypot(k.vel_ned[:, 0], k.vel_ned[:, 1]).max()), "m/s", 20.0)

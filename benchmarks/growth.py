@@ -60,7 +60,16 @@ def flight(folder: Path) -> None:
     for hours in HOURS:
         scenario = FLIGHT | {"trajectory": FLIGHT["trajectory"] | {"duration": f"{hours} h"}}
         (folder / "flight.yaml").write_text(yaml.safe_dump(scenario), encoding="utf-8")
-        arguments = ("run", "flight.yaml", "--workers", "1", "--no-pictures", "--overwrite", "--output", f"flight_{hours}")
+        arguments = (
+            "run",
+            "flight.yaml",
+            "--workers",
+            "1",
+            "--no-pictures",
+            "--overwrite",
+            "--output",
+            f"flight_{hours}",
+        )
         seconds, memory = measured(folder, *arguments, most=1000)
         print(
             f"flight of {hours} h at 400 Hz, {hours * 3600 * 400 / 1e6:.2f} M epochs: {seconds:.0f} CPU s, {memory:.0f} MB",

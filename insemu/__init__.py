@@ -31,15 +31,19 @@ Arrays
     ``numpy.random.SeedSequence``, so run 7 is the same alone, in parallel, or among 1000.
 """
 
+import sys as _sys
 from importlib import import_module as _import
 from types import ModuleType as _Module
 from typing import Any as _Any
 
 __version__ = "0.1.0"
 
-#: Names at the top -> where they are: found when they are asked for, so that ``import insemu`` takes no time.
+#: Names at the top -> where they are: found when they are asked for, so that ``import insemu`` takes no time. What type they have says
+#: ``__init__.pyi``.
 _TOP = {
-    **dict.fromkeys(("read", "select", "characterise", "run", "find_gap", "plot", "load"), "api"),
+    **dict.fromkeys(
+        ("read", "fit", "select", "characterise", "run", "emulate", "find_gap", "solve", "plot", "load"), "api"
+    ),
     **dict.fromkeys(
         (
             "WN",
@@ -69,23 +73,22 @@ _TOP = {
     "InputError": "errors",
     "register_process": "noise.register",
 }
-#: Rooms that are functions as well: ``ins.fit(log, model)`` is :func:`insemu.api.fit`.
-_CALLED = ("fit", "emulate", "solve")
 
-__all__ = ["__version__", *_TOP, *_CALLED]
+__all__ = ["__version__", *_TOP]
 
 
-class CalledRoom(_Module):
-    """A room that is called as the function of its name in :mod:`insemu.api`."""
+class _Package(_Module):
+    """The package, in which a function at the top is not replaced by the room of its name when that is imported."""
 
-    def __call__(self, *arguments: _Any, **options: _Any) -> _Any:
-        """Call :mod:`insemu.api`'s function of the room's name."""
-        return getattr(_import("insemu.api"), self.__name__.rpartition(".")[2])(*arguments, **options)
+    def __setattr__(self, name: str, value: _Any) -> None:
+        if not (name in _TOP and isinstance(value, _Module)):
+            super().__setattr__(name, value)
+
+
+_sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> _Any:
-    if name in _CALLED:
-        return _import(f"insemu.{name}")
     if name not in _TOP:
         raise AttributeError(f"module 'insemu' has no attribute '{name}'")
     room, _, own = _TOP[name].partition(".")

@@ -6,11 +6,15 @@ Each takes a file, or what a file holds, and answers with results that print in 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, Protocol, overload, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insemu.errors import InputError
 from insemu.records import Recording, Series
@@ -18,14 +22,77 @@ from insemu.shown import ByAxis
 
 if TYPE_CHECKING:
     from insemu.evaluate import Results
-    from insemu.fit import FitResult
-    from insemu.gap import GapReport
+    from insemu.fit import FitResult, Method, Ranking
+    from insemu.fit.gmwm import Weighting
+    from insemu.gap import GapReport, Nominal, StaticLog
     from insemu.noise import NoiseModel, Process
     from insemu.scenario import Scenario
     from insemu.solve import Solution
+    from insemu.variance import AxisReport
 
-#: A file, a signal, several, or a recording.
-Signal = str | Path | Series | Sequence[Series] | Recording
+
+@runtime_checkable
+class PandasTable(Protocol):
+    """A table of pandas; units stand in the names of its columns (``gx [deg/s]``), one of which is the time."""
+
+    def to_csv(self, path: str, *, index: bool) -> Any:
+        """Write the table."""
+
+    def reset_index(self) -> Any:
+        """The index as a column."""
+
+
+@runtime_checkable
+class PolarsTable(Protocol):
+    """A table of polars; units stand in the names of its columns (``gx [deg/s]``), one of which is the time."""
+
+    def write_csv(self, file: str) -> Any:
+        """Write the table."""
+
+
+#: A file, or what it holds.
+Table = PandasTable | PolarsTable
+#: What has axes: a log, several signals, a recording at rest.
+Axes = str | Path | PandasTable | PolarsTable | Sequence[Series] | Recording
+#: The same, or one signal; an array is one whose rate is given, or a column of times (s) and one of the signal.
+Signal = Axes | Series | NDArray[np.float64]
+Quantity = str | float
+Pattern = Literal["uniform", "log"]
+
+
+def si(value: Quantity, unit: str) -> float:
+    """A quantity as text with its unit (``"100 Hz"``), or a number in the SI unit."""
+    from insemu import units
+
+    return units.parse(value, unit) if isinstance(value, str) else float(value)
+
+
+@contextmanager
+def file_of(data: str | Path | Table) -> Iterator[Path]:
+    """A file of a table, which the readers of files take as any other; a path as it is.
+
+    Raises
+    ------
+    InputError
+        What the readers say of the table, which is named ``table``.
+    """
+    import tempfile
+
+    if isinstance(data, str | Path):
+        yield Path(data)
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "table.csv"
+        if isinstance(data, PolarsTable):
+            data.write_csv(str(path))
+        else:
+            table = data if getattr(getattr(data, "index", None), "name", None) is None else data.reset_index()
+            table.to_csv(str(path), index=False)
+        try:
+            yield path
+        except InputError as error:
+            where = None if error.where is None else error.where.replace(str(path), "table")
+            raise InputError(error.message.replace(str(path), "table"), where=where) from None
 
 
 def read(file: str | Path) -> list[Series] | Recording:
@@ -41,111 +108,289 @@ def read(file: str | Path) -> list[Series] | Recording:
     return formats.read(file)
 
 
-def signals(data: Signal) -> list[Series]:
-    """The signals of a file, of a recording at rest, or those given.
+def signals(
+    data: Signal,
+    *,
+    columns: Sequence[str] | None = None,
+    rate: Quantity | None = None,
+    skip: Quantity = 0.0,
+    unit: str = "",
+    name: str = "signal",
+) -> list[Series]:
+    """The signals of a file, a table, an array, a recording at rest, or those given.
+
+    Parameters
+    ----------
+    data : path, table, Series, sequence of Series, Recording or array
+        An array is one signal (n,), or times in s and one signal (n, 2).
+    columns : sequence of str, optional
+        Only these.
+    rate : str or float, optional
+        Sampling rate (``"100 Hz"``, or Hz) of what does not say it.
+    skip : str or float
+        What is left out at the start (``"40 min"``, or s).
+    unit, name : str
+        SI unit and name of an array.
 
     Raises
     ------
     InputError
-        Nothing of that kind.
+        Nothing of that kind, no such column, or no rate.
     """
-    if isinstance(data, str | Path):
+    hertz = None if rate is None else si(rate, "Hz")
+    if isinstance(data, str | Path | PandasTable | PolarsTable):
         from insemu.logs import open_log
 
-        return open_log(data).series(gaps=True)
+        with file_of(data) as path:
+            out = open_log(path, hertz, None if columns is None else list(columns)).series(gaps=True)
+    else:
+        out = _in_memory(data, hertz, unit, name)
+        if columns is not None:
+            from insemu.errors import nearest
+            from insemu.formats import AXIS_OF_COLUMN
+
+            there = {s.name: s for s in out}
+            wanted = [AXIS_OF_COLUMN.get(c, c) for c in columns]
+            if unknown := [c for c in wanted if c not in there]:
+                raise InputError(f"no column '{unknown[0]}'" + nearest(unknown[0], there))
+            out = [there[c] for c in wanted]
+    first = si(skip, "s")
+    return [replace(s, values=s.values[round(first * s.rate_hz) :]) for s in out] if first else out
+
+
+def _in_memory(data: object, rate_hz: float | None, unit: str, name: str) -> list[Series]:
+    """The signals of what is no file and no table."""
     if isinstance(data, Series):
         return [data]
     if isinstance(data, Recording):
         from insemu.formats import Log
 
         return Log.of_imu(data.imu, data.source).series(gaps=True)
-    out = list(data)
-    if not out or not all(isinstance(s, Series) for s in out):
-        raise InputError(f"found {type(data).__name__}, expected a file, a Series, several, or a Recording")
-    return out
+    if isinstance(data, list | tuple) and data and all(isinstance(s, Series) for s in data):
+        return list(data)
+    try:
+        x = np.asarray(data, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"found {type(data).__name__}, expected a file, a table, an array, a Series, several, or a Recording"
+        ) from None
+    if x.ndim == 2 and x.shape[1] == 2 and len(x) > 1 and (np.diff(x[:, 0]) > 0).all():
+        step = float(x[-1, 0] - x[0, 0]) / (len(x) - 1)
+        if np.abs(np.diff(x[:, 0]) - step).max() > 0.5 * step:
+            raise InputError("the times in the first column have gaps, expected even ones, or a table (pandas, polars)")
+        return [Series(x[:, 1], 1.0 / step, unit, name)]
+    if x.ndim != 1:
+        raise InputError(f"found an array of shape {x.shape}, expected (n,), or (n, 2) with rising times in s first")
+    if rate_hz is None:
+        raise InputError(f"{name} does not say its sampling rate; expected rate='100 Hz', or times in a first column")
+    return [Series(x, rate_hz, unit, name)]
 
 
-def fit(data: Signal, model: NoiseModel | Process | str, method: str = "gmwm", **options: Any) -> FitResult | ByAxis:
-    """Fit a noise model to one signal or to every axis of a log.
+@overload
+def fit(
+    data: Series | NDArray[np.float64],
+    model: NoiseModel | Process | str,
+    method: Method = "gmwm",
+    *,
+    columns: Sequence[str] | None = None,
+    rate: Quantity | None = None,
+    skip: Quantity = 0.0,
+    robust: bool = False,
+    wavelet: str = "haar",
+    weighting: Weighting = "auto",
+    start: NoiseModel | str | None = None,
+    tau_from: Quantity = 0.0,
+    tau_to: Quantity = math.inf,
+    pattern: Pattern = "uniform",
+    bootstrap: int = 0,
+    seed: int = 0,
+    unit: str = "",
+    name: str = "signal",
+) -> FitResult: ...
+@overload
+def fit(
+    data: Axes,
+    model: NoiseModel | Process | str,
+    method: Method = "gmwm",
+    *,
+    columns: Sequence[str] | None = None,
+    rate: Quantity | None = None,
+    skip: Quantity = 0.0,
+    robust: bool = False,
+    wavelet: str = "haar",
+    weighting: Weighting = "auto",
+    start: NoiseModel | str | None = None,
+    tau_from: Quantity = 0.0,
+    tau_to: Quantity = math.inf,
+    pattern: Pattern = "uniform",
+    bootstrap: int = 0,
+    seed: int = 0,
+    unit: str = "",
+    name: str = "signal",
+) -> ByAxis[FitResult]: ...
+def fit(
+    data: Signal,
+    model: NoiseModel | Process | str,
+    method: Method = "gmwm",
+    *,
+    columns: Sequence[str] | None = None,
+    rate: Quantity | None = None,
+    skip: Quantity = 0.0,
+    robust: bool = False,
+    wavelet: str = "haar",
+    weighting: Weighting = "auto",
+    start: NoiseModel | str | None = None,
+    tau_from: Quantity = 0.0,
+    tau_to: Quantity = math.inf,
+    pattern: Pattern = "uniform",
+    bootstrap: int = 0,
+    seed: int = 0,
+    unit: str = "",
+    name: str = "signal",
+) -> FitResult | ByAxis[FitResult]:
+    """Fit a noise model to one signal or to every axis of a log, as ``insemu fit`` does.
 
     Parameters
     ----------
-    data : path, Series, sequence of Series or Recording
+    data : path, table, Series, sequence of Series, Recording or array
+        See :func:`signals`.
     model : NoiseModel, Process or str
         Such as ``"2*GM() + WN()"``; parameters that have a value are held.
     method : str
         See :func:`insemu.fit.fit`.
-    **options
-        See :func:`insemu.fit.fit`.
+    columns, rate, skip, unit, name
+        See :func:`signals`.
+    robust : bool
+        Use the wavelet variance that outliers cannot move (gmwm, indirect).
+    wavelet : str
+        Filter of the wavelet variance (gmwm).
+    weighting : str
+        Of gmwm, see :func:`insemu.fit.gmwm.fit_curve`.
+    start : NoiseModel or str, optional
+        Values to start from (gmwm, em, mli).
+    tau_from, tau_to : str or float
+        Scales to use (gmwm), s.
+    pattern : str
+        Of mli.
+    bootstrap : int
+        Intervals and criterion from so many simulated signals; 0: closed form.
+    seed : int
+        Of bootstrap and draws.
 
     Returns
     -------
     FitResult, or a mapping of axis to FitResult
-        One signal gives one result.
+        A Series or an array gives one result.
 
     Examples
     --------
     >>> import insemu as ins
     >>> x = ins.WN(N="0.34 deg/sqrt(h)").simulate(1024, 0.01, np.random.default_rng(1))
-    >>> result = ins.fit(ins.Series(x, 100.0, "rad/s", "gyro_x"), ins.WN())
-    >>> print(result.bears)
+    >>> print(ins.fit(x, ins.WN(), rate="100 Hz").bears)
     True
     """
+    from insemu.fit import bootstrap_intervals, check_bootstrap, wic
     from insemu.fit import fit as one
+    from insemu.noise import NoiseModel
 
-    given: Any = data
-    if not isinstance(data, str | Path | Series | Recording) and not _are_series(data):
-        return one(given, model, method, **options)  # type: ignore[arg-type]  # an array or a curve
-    if isinstance(data, Series):
-        return one(data, model, method, **options)  # type: ignore[arg-type]
-    return ByAxis({s.name: one(s, model, method, **options) for s in signals(data)})  # type: ignore[arg-type]
+    if bootstrap:
+        check_bootstrap(method, bootstrap)
+    series = signals(data, columns=columns, rate=rate, skip=skip, unit=unit, name=name)
+    options: dict[str, Any] = {"wavelet": wavelet, "robust": robust}
+    if method == "gmwm":
+        options |= {"tau_from": si(tau_from, "s"), "tau_to": si(tau_to, "s")} | (
+            {} if robust else {"weighting": weighting}
+        )
+    elif method == "mli":
+        options["pattern"] = pattern
+    out: dict[str, FitResult] = {}
+    for s, rng in zip(series, np.random.default_rng(seed).spawn(len(series)), strict=True):
+        given = options | ({"rng": rng} if method in ("gmwm", "indirect") else {})
+        if start is not None:
+            given["start"] = NoiseModel.parse(start, s.unit) if isinstance(start, str) else start
+        result = one(s, model, method, **given)
+        if bootstrap:
+            result = replace(
+                bootstrap_intervals(result, bootstrap, rng), criterion=wic(result, bootstrap=bootstrap, rng=rng)
+            )
+        out[s.name] = result
+    return next(iter(out.values())) if isinstance(data, Series | np.ndarray) else ByAxis(out)
 
 
-def _are_series(data: object) -> bool:
-    return isinstance(data, list | tuple) and bool(data) and all(isinstance(s, Series) for s in data)
-
-
-def select(data: Signal, general: NoiseModel | str = "4*GM() + WN() + RW() + QN()", **options: Any) -> ByAxis:
-    """Choose a noise model for every axis among all nested in a general one.
+def select(
+    data: Signal,
+    general: NoiseModel | str = "4*GM() + WN() + RW() + QN()",
+    *,
+    candidates: Sequence[NoiseModel | str] | None = None,
+    columns: Sequence[str] | None = None,
+    rate: Quantity | None = None,
+    skip: Quantity = 0.0,
+    robust: bool = False,
+    workers: int = 1,
+    unit: str = "",
+    name: str = "signal",
+) -> ByAxis[Ranking]:
+    """Choose a noise model for every axis among all nested in a general one, as ``insemu select`` does.
 
     Parameters
     ----------
-    data : path, Series, sequence of Series or Recording
+    data : path, table, Series, sequence of Series, Recording or array
+        See :func:`signals`.
     general : NoiseModel or str
-    **options
-        See :func:`insemu.fit.select_axes`.
-
-    Returns
-    -------
-    mapping of axis to Ranking
+    candidates : sequence of NoiseModel or str, optional
+        Rank these instead.
+    columns, rate, skip, unit, name
+        See :func:`signals`.
+    robust : bool
+        Use the wavelet variance that outliers cannot move.
+    workers : int
+        Work items at a time.
     """
     from insemu.fit import select_axes
     from insemu.noise import NoiseModel
 
-    whole = NoiseModel.parse(general) if isinstance(general, str) else general
-    return ByAxis(select_axes(signals(data), whole, **options))
+    def parsed(model: NoiseModel | str) -> NoiseModel:
+        return NoiseModel.parse(model) if isinstance(model, str) else model
+
+    series = signals(data, columns=columns, rate=rate, skip=skip, unit=unit, name=name)
+    asked = None if candidates is None else [parsed(c) for c in candidates]
+    return ByAxis(select_axes(series, parsed(general), candidates=asked, robust=robust, workers=workers))
 
 
-def characterise(data: Signal, **options: Any) -> ByAxis:
-    """What the noise of every axis is made of.
+def characterise(
+    data: Signal,
+    *,
+    columns: Sequence[str] | None = None,
+    rate: Quantity | None = None,
+    robust: bool = False,
+    wavelet: str = "haar",
+    unit: str = "",
+    name: str = "signal",
+) -> ByAxis[AxisReport]:
+    """What the noise of every axis is made of, as ``insemu characterise`` says it.
 
     Parameters
     ----------
-    data : path, Series, sequence of Series or Recording
-    **options
-        See :func:`insemu.variance.characterise`; of a file :func:`insemu.logs.characterise_log`.
-
-    Returns
-    -------
-    mapping of axis to AxisReport
+    data : path, table, Series, sequence of Series, Recording or array
+        See :func:`signals`.
+    columns, rate, unit, name
+        See :func:`signals`.
+    robust : bool
+        Read the coefficients off the robust curve.
+    wavelet : str
+        Filter of the wavelet variance.
     """
     if isinstance(data, str | Path):
         from insemu.logs import characterise_log, open_log
 
-        return ByAxis({axis.name: axis for axis in characterise_log(open_log(data), **options)})
+        log = open_log(data, None if rate is None else si(rate, "Hz"))
+        return ByAxis({a.name: a for a in characterise_log(log, columns, from_robust=robust, wavelet=wavelet)})
     from insemu.variance import characterise as one
 
-    return ByAxis({s.name: one(s.values, s.rate_hz, name=s.name, unit=s.unit, **options) for s in signals(data)})
+    series = signals(data, columns=columns, rate=rate, unit=unit, name=name)
+    return ByAxis(
+        {s.name: one(s.values, s.rate_hz, name=s.name, unit=s.unit, from_robust=robust, filter=wavelet) for s in series}
+    )
 
 
 def load(scenario: str | Path | Mapping[str, Any] | Scenario, **overrides: Any) -> Scenario:
@@ -201,8 +446,8 @@ def run(
 
 def emulate(
     scenario: str | Path | Mapping[str, Any] | Scenario,
-    realization: int = 0,
     *,
+    realization: int = 0,
     seed: int | None = None,
     ideal: bool = False,
 ) -> Recording:
@@ -223,36 +468,74 @@ def emulate(
     return EmulatedWorld(load(scenario, seed=seed), file).recording(realization, ideal=ideal)
 
 
-def find_gap(measured: str | Path | Recording, nominal: str | Path, *, seed: int = 1, **options: Any) -> GapReport:
-    """Where a recording and a model disagree, and what is missing from the model.
+def find_gap(
+    model: str | Path | Nominal | Mapping[str, NoiseModel | FitResult],
+    recording: str | Path | Table | Recording | Series | Sequence[Series],
+    *,
+    rate: Quantity | None = None,
+    without: Sequence[str] = (),
+    seed: int = 1,
+    hold_out: bool = True,
+) -> GapReport:
+    """Where a recording and a model disagree, and what is missing from the model, as ``insemu gap`` says it.
 
     Parameters
     ----------
-    measured : path or Recording
-    nominal : path
-        A scenario, a belief file or a noise-model file.
+    model : path, mapping of axis to NoiseModel or FitResult, or Nominal
+        What is believed: a scenario, a belief file or a noise-model file, or the models themselves.
+    recording : path, table, Recording, Series or sequence of Series
+        What was measured: a drive or flight, or a log at rest.
+    rate : str or float, optional
+        Sampling rate of a log that does not say it (``"100 Hz"``, or Hz).
+    without : sequence of str
+        Effects that are taken out of the catalogue.
     seed : int
         Of the simulated nominal data.
-    **options
-        See :func:`insemu.gap.find_gap`.
+    hold_out : bool
+        Score on data that was not used for naming (twice the work).
+
+    Raises
+    ------
+    InputError
+        A recording where the model is expected; see :func:`insemu.gap.find_gap`.
     """
     from insemu import gap
+    from insemu.noise import NoiseModel
 
-    believed = gap.load_nominal(nominal)
-    data = gap.load_measured(measured) if isinstance(measured, str | Path) else measured
+    if isinstance(model, Recording | Series | PandasTable | PolarsTable):
+        raise InputError(f"found {type(model).__name__} first, expected the model first and then the recording")
+    if isinstance(model, str | Path):
+        believed = gap.load_nominal(model)
+    elif isinstance(model, Mapping):
+        believed = gap.Nominal(
+            {axis: m if isinstance(m, NoiseModel) else m.model for axis, m in model.items()},
+            kind="noise",
+            source="model",
+        )
+    else:
+        believed = model
+    data: StaticLog | Recording
+    if isinstance(recording, Recording):
+        data = recording
+    elif isinstance(recording, str | Path | PandasTable | PolarsTable):
+        with file_of(recording) as path:
+            data = gap.load_measured(path, rate_hz=None if rate is None else si(rate, "Hz"))
+    else:
+        series = tuple(signals(recording))
+        data = gap.StaticLog(series, None, "signals")
     if "recording" not in believed.raw:
         data = gap.from_its_start(data)
-    return gap.find_gap(data, believed, rng=np.random.default_rng(seed), **options)
+    return gap.find_gap(data, believed, rng=np.random.default_rng(seed), without=tuple(without), hold_out=hold_out)
 
 
 def solve(
-    recording: str | Path | Recording,
+    recording: str | Path | Table | Recording,
     *,
-    gnss: str | Path | None = None,
-    column_map: str = "",
-    designs: Sequence[str] = (),
+    gnss: str | Path | Table | None = None,
+    map: str = "",
     sensor: str = "",
-    model: str = "",
+    models: str = "",
+    designs: Sequence[str] = (),
     lever_arm: Sequence[float] | None = None,
     workers: int = 1,
 ) -> Solution:
@@ -260,16 +543,16 @@ def solve(
 
     Parameters
     ----------
-    recording : path or Recording
-        The file with the IMU where there are several.
-    gnss : path, optional
-        File with the fixes, where they are apart.
-    column_map : str
+    recording : path, table or Recording
+        What has the IMU where there are several.
+    gnss : path or table, optional
+        The fixes, where they are apart.
+    map : str
         Columns and settings of the file, as of ``insemu open --map``.
+    sensor, models : str
+        A sensor card, and a file of models, that are tried too.
     designs : sequence of str
         Designs of ``insemu designs`` that are tried beside the generic ones.
-    sensor, model : str
-        A sensor card, and a file of models, that are tried too.
     lever_arm : (3,) sequence of float, optional
         IMU to antenna in the axes of the recording, m; estimated where it is not given.
     workers : int
@@ -284,15 +567,18 @@ def solve(
     from insemu.solve import candidates
     from insemu.solve import solve as one
 
-    beliefs = candidates(designs, sensor, model, lever_arm_known=lever_arm is not None)
+    beliefs = candidates(designs, sensor, models, lever_arm_known=lever_arm is not None)
     if isinstance(recording, Recording):
-        if gnss is not None or column_map:
-            raise InputError("gnss and column_map belong to a file, found a Recording")
+        if gnss is not None or map:
+            raise InputError("gnss and map belong to a file, found a Recording")
         data, card = recording, intake.examine(recording)
     else:
-        found = formats.open_files(recording, gnss=gnss, maps=(column_map, "", ""))
-        card = intake.examine(found)
-        data = found.recording()
+        with ExitStack() as stack:
+            file = stack.enter_context(file_of(recording))
+            fixes = None if gnss is None else stack.enter_context(file_of(gnss))
+            found = formats.open_files(file, gnss=fixes, maps=(map, "", ""))
+            card = intake.examine(found)
+            data = found.recording()
     card.check()
     return one(data, card, beliefs, lever_arm=(0.0, 0.0, 0.0) if lever_arm is None else lever_arm, workers=workers)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from html import escape
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -72,7 +72,10 @@ class Shown:
         return import_module("insemu.report").plot(self, axes, view=view)
 
 
-class ByAxis(Shown, dict[str, Any]):
+R = TypeVar("R", bound=Shown)
+
+
+class ByAxis(Shown, dict[str, R]):
     """Results of several axes: a mapping that shows itself."""
 
     def __str__(self) -> str:

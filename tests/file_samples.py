@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from insemu import earth, emulate, rotation
+from insemu import earth, rotation
+from insemu.emulate import built_in, gnss_fixes, ideal_imu
 from insemu.formats import write
 from insemu.formats.clocks import GPS_EPOCH
 from insemu.records import GnssRecord, ImuRecord, Recording, Series, Trajectory
@@ -35,11 +36,11 @@ FLU = np.array([1.0, -1.0, -1.0])
 def drive(seconds: float = 60.0, start: float = 0.0) -> Recording:
     """A drive of a car: 50 Hz IMU (means), 2 Hz fixes with velocity, 10 Hz reference; times from ``start``."""
     rng = np.random.default_rng(5)
-    ideal = emulate.ideal_imu(emulate.built_in("urban_drive_1"), RATE, kind="mean", span=(0.0, seconds))
+    ideal = ideal_imu(built_in("urban_drive_1"), RATE, kind="mean", span=(0.0, seconds))
     imu, truth = ideal.imu, ideal.reference
     gyro = imu.gyro + 2e-3 * rng.standard_normal(imu.gyro.shape) + [0.001, -0.002, 0.0015]
     accel = imu.accel + 0.02 * rng.standard_normal(imu.accel.shape) + [0.03, -0.02, 0.05]
-    gnss = emulate.gnss_fixes(truth, 2.0, (0.3, 0.3, 0.5), (0.05, 0.05, 0.08), rng=rng)
+    gnss = gnss_fixes(truth, 2.0, (0.3, 0.3, 0.5), (0.05, 0.05, 0.08), rng=rng)
     sparse = slice(None, None, 5)
     return Recording(
         ImuRecord(imu.t + start, gyro, accel, "mean", 25.0 + 0.01 * imu.t),

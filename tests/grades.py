@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from insemu import emulate
+from insemu.emulate import built_in, gnss_fixes, ideal_imu
 from insemu.noise import NoiseModel
 from insemu.records import AXES, ImuRecord, Recording
 from insemu.solve import GRADES, Candidate, candidates
@@ -35,13 +35,13 @@ class Case:
     def recording(self) -> Recording:
         """The drive with those errors."""
         rng = np.random.default_rng(self.seed)
-        ideal = emulate.ideal_imu(emulate.built_in("urban_drive_1"), RATE_HZ, kind="mean", span=(0.0, 60.0 * MINUTES))
+        ideal = ideal_imu(built_in("urban_drive_1"), RATE_HZ, kind="mean", span=(0.0, 60.0 * MINUTES))
         imu = ideal.imu
         errors = {a: self.size * NoiseModel.simulate(self.grade.belief[a], len(imu), imu.dt, rng) for a in AXES}
         gyro, accel = (np.column_stack([errors[f"{s}_{a}"] for a in "xyz"]) for s in ("gyro", "accel"))
         position, velocity = RECEIVERS[self.receiver]
         sigma = ((position, position, 1.5 * position), (velocity, velocity, 1.5 * velocity))
-        gnss = emulate.gnss_fixes(ideal.reference, 1.0, *sigma, (0.0, 0.0, 0.0), rng=rng)
+        gnss = gnss_fixes(ideal.reference, 1.0, *sigma, (0.0, 0.0, 0.0), rng=rng)
         return Recording(ImuRecord(imu.t, imu.gyro + gyro, imu.accel + accel, "mean"), gnss)
 
     def nis(self) -> float:

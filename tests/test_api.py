@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import json
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 import pytest
 
 import insemu as ins
@@ -32,14 +35,94 @@ def series() -> ins.Series:
 
 
 def test_names_at_the_top_are_found_when_asked_for() -> None:
-    said = "import sys, insemu as ins; print('scipy' in sys.modules, ins.WN.__name__, callable(ins.fit), ins.fit.FitResult.__name__)"
+    said = "import sys, insemu as ins; print('scipy' in sys.modules, ins.WN.__name__, type(ins.fit).__name__)"
+    said += "; from insemu.fit import FitResult; import insemu.fit, insemu.solve; print(type(ins.fit).__name__, ins.solve.__module__)"
     done = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["False", "WN", "True", "FitResult"]
+    assert done.stdout.split() == ["False", "WN", "function", "function", "insemu.api"]
     for name in ins.__all__:
         assert getattr(ins, name) is not None
     assert set(dir(ins)) == set(ins.__all__)
     with pytest.raises(AttributeError, match="no attribute 'fitt'"):
         ins.fitt  # noqa: B018
+
+
+def test_every_name_at_the_top_has_a_type() -> None:
+    tree = ast.parse((Path(ins.__file__).parent / "__init__.pyi").read_text(encoding="utf-8"))
+    typed = {a.asname for node in tree.body if isinstance(node, ast.ImportFrom) for a in node.names if a.asname}
+    typed |= {
+        t.id for node in tree.body if isinstance(node, ast.Assign) for t in node.targets if isinstance(t, ast.Name)
+    }
+    made = {node.name: node.body[0] for node in tree.body if isinstance(node, ast.ClassDef)}
+    assert set(ins.__all__) - {"__version__"} == {n for n in typed | set(made) if not n.startswith("_")}
+    for name, init in made.items():
+        assert isinstance(init, ast.FunctionDef)
+        own = {f.name for f in fields(getattr(ins, name))}
+        assert {a.arg for a in (*init.args.args[1:], *init.args.kwonlyargs)} - {"Tc"} == own, name
+    for function in (ins.fit, ins.select, ins.characterise, ins.find_gap, ins.solve, ins.run, ins.emulate):
+        assert all(p.kind is not p.VAR_KEYWORD for p in inspect.signature(function).parameters.values())
+    with pytest.raises(TypeError, match="rate_hz"):
+        ins.fit(np.zeros(64), "WN()", rate_hz=100)  # type: ignore[call-overload]
+
+
+EXAMPLES = """
+import numpy as np
+import insemu as ins
+model = ins.WN(N="0.3 deg/sqrt(h)") + ins.GM(sigma="3 deg/h", Tc="40 s")
+reveal_type(model)
+reveal_type(ins.fit("log.npz", "2*GM() + WN()")["gyro_z"])
+reveal_type(ins.fit(np.zeros((64, 2)), model)["WN1.N"].value)
+reveal_type(ins.select("log.npz")["gyro_z"])
+reveal_type(ins.characterise(np.zeros(64), rate="100 Hz"))
+reveal_type(ins.run("scenario.yaml").to_xarray())
+reveal_type(ins.emulate("scenario.yaml", realization=1))
+reveal_type(ins.find_gap({"gyro_x": model}, "log.npz"))
+reveal_type(ins.solve("town.npz", lever_arm=(0.0, 0.0, 1.0)))
+"""
+
+
+@pytest.mark.slow(reason="reads the types of the whole package, a minute without mypy's cache")
+def test_a_type_checker_knows_what_the_functions_return(tmp_path: Path) -> None:
+    (tmp_path / "examples.py").write_text(EXAMPLES)
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", str(tmp_path / "examples.py")],
+        cwd=Path(ins.__file__).resolve().parent.parent,
+        capture_output=True,
+        text=True,
+    )
+    said = [line.split("Revealed type is ")[1] for line in done.stdout.splitlines() if "Revealed type is " in line]
+    assert done.returncode == 0 and len(said) == EXAMPLES.count("reveal_type"), done.stdout
+    assert not [line for line in said if "Any" in line]
+
+
+def test_what_goes_by_file_goes_by_object(tmp_path: Path, series: ins.Series) -> None:
+    x = series.values[:2000]
+    t = np.arange(x.size) / 100.0
+    table = pd.DataFrame({"time [s]": t, "gx [deg/h]": np.degrees(x) * 3600.0})
+    table.to_csv(tmp_path / "log.csv", index=False)
+    by_file = ins.fit(tmp_path / "log.csv", "WN()")["gyro_x"]
+    by_table = ins.fit(table.set_index("time [s]"), "WN()")["gyro_x"]
+    assert by_table["WN1.N"].value == by_file["WN1.N"].value
+    by_array = ins.fit(np.column_stack([t, x]), "WN()", unit="rad/s")
+    assert by_array["WN1.N"].value == pytest.approx(by_file["WN1.N"].value, rel=1e-9)  # deg/h and back
+    given = ins.fit(x, "WN()", rate="100 Hz", unit="rad/s")
+    assert given["WN1.N"].value == pytest.approx(by_array["WN1.N"].value, rel=1e-12)
+    for data in (table, np.column_stack([t, x])):
+        (report,) = ins.characterise(data).values()
+        assert report.samples == x.size and report.rate_hz == pytest.approx(100.0)
+    with pytest.raises(InputError, match="sampling rate; expected rate="):
+        ins.fit(x, "WN()")
+    with pytest.raises(InputError, match="gaps"):
+        ins.fit(np.column_stack([np.where(t > 5.0, t + 3.0, t), x]), "WN()")
+    with pytest.raises(InputError, match="no column 'gyro_q'"):
+        ins.fit(series, "WN()", columns=["gyro_q"])
+
+
+def test_the_model_stands_before_the_recording() -> None:
+    imu = ins.ImuRecord(np.arange(9) / 9.0, np.zeros((9, 3)), np.zeros((9, 3)))
+    with pytest.raises(InputError, match="expected the model first"):
+        ins.find_gap(ins.Recording(imu), "model.yaml")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="expected radians"):
+        ins.GnssRecord(np.arange(2.0), np.array([[46.0, 7.0, 400.0], [46.1, 7.1, 400.0]]))
 
 
 def test_quantities_are_text_of_a_gyroscope_or_of_an_accelerometer() -> None:

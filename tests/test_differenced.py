@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from insemu import emulate, scenario
+from insemu import scenario
 from insemu.cli import main
-from insemu.emulate import Mounting, difference
+from insemu.emulate import Mounting, built_in, difference, ideal_imu
 from insemu.errors import InputError
 from insemu.evaluate import Experiment
 from insemu.formats import write
@@ -25,11 +25,11 @@ GYRO, ACCEL = WN(N=2e-4) + GM(sigma=1e-3, Tc=20.0), WN(N=2e-3) + GM(sigma=2e-2, 
 
 def pair(seconds: float = 300.0, **given: object) -> tuple[ImuRecord, ImuRecord, np.ndarray]:
     """A unit at 100 Hz and a reference at 200 Hz on one drive, and the unit's errors."""
-    path = emulate.built_in("turbulent_uav")
+    path = built_in("turbulent_uav")
     span = (0.0, seconds)
     mount = Mounting(ARM, tuple(RPY))
-    unit = emulate.ideal_imu(path, 100.0, kind="mean", mounting=mount, span=span).imu
-    better = emulate.ideal_imu(path, 200.0, kind="increment", span=span).imu
+    unit = ideal_imu(path, 100.0, kind="mean", mounting=mount, span=span).imu
+    better = ideal_imu(path, 200.0, kind="increment", span=span).imu
     rng = np.random.default_rng(8)
     errors = np.stack([m.simulate(len(unit), 0.01, rng) for m in (*[GYRO] * 3, *[ACCEL] * 3)], axis=1)
     errors += np.array([0.01, -0.02, 0.005, 0.1, 0.05, -0.2])
@@ -42,7 +42,7 @@ def test_the_errors_that_were_put_on_come_back() -> None:
     """Offset, mounting and lever arm within five of their standard deviations; what is left of the difference is below a tenth of the errors."""
     unit, better, errors = pair()
     found = difference(unit, better)
-    angles = emulate.Mounting(ARM, tuple(found.rpy)).dcm() @ Mounting(ARM, tuple(RPY)).dcm().T
+    angles = Mounting(ARM, tuple(found.rpy)).dcm() @ Mounting(ARM, tuple(RPY)).dcm().T
     turn = np.array([angles[2, 1], angles[0, 2], angles[1, 0]])
     missed = np.concatenate([[found.offset_s - LATE], turn, found.lever_arm - ARM])
     assert (
@@ -59,7 +59,7 @@ def test_without_common_motion_or_turns_nothing_is_taken_for_errors() -> None:
     unit, better, _ = pair(100.0)
     with pytest.raises(InputError, match="turn rates of unit and reference correlate by"):
         difference(unit, better.with_rates(np.roll(better.rates(), 9000, axis=0)), search_s=2.0)
-    still = emulate.ideal_imu(emulate.built_in("static"), 100.0, kind="mean", span=(0.0, 100.0)).imu
+    still = ideal_imu(built_in("static"), 100.0, kind="mean", span=(0.0, 100.0)).imu
     rng = np.random.default_rng(1)
     one, two = (still.with_rates(still.rates() + 1e-3 * rng.standard_normal((len(still), 6))) for _ in range(2))
     with pytest.raises(InputError, match="correlate by"):

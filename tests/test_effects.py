@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 from scipy.stats import binom
 
-from insemu import earth, effects, emulate, rotation, units
+from insemu import earth, effects, rotation, units
 from insemu.effects import CROSS, EFFECTS, EffectUse, join_of, lagged
 from insemu.effects.stochastic import band_coefficients
+from insemu.emulate import AreaOutage, built_in, corrupt, gnss_fixes, ideal_imu, random_outages
 from insemu.emulate.sensor import TemperatureProfile
 from insemu.errors import InputError
 from insemu.noise import BI, GM, RW, WN
@@ -99,7 +100,7 @@ def rich():
 
 def injected(imu, *uses, reference=None, temperature=None):
     """What the effects add to a record, (n, 6)."""
-    out = emulate.corrupt(imu, None, RNG(1), effects=uses, reference=reference, temperature=temperature).imu
+    out = corrupt(imu, None, RNG(1), effects=uses, reference=reference, temperature=temperature).imu
     return np.concatenate([out.gyro - imu.gyro, out.accel - imu.accel], axis=1)
 
 
@@ -172,7 +173,7 @@ def test_functions_of_the_truth_do_not_see_each_other(rich):
 
 def test_mounting_is_recovered(rich):
     angles = np.deg2rad([1.0, -2.0, 3.0])
-    out = emulate.corrupt(rich, None, RNG(1), effects=[use("mounting", rpy=list(angles))]).imu
+    out = corrupt(rich, None, RNG(1), effects=[use("mounting", rpy=list(angles))]).imu
     for before, after in ((rich.gyro, out.gyro), (rich.accel, out.accel)):
         transposed = np.linalg.lstsq(before, after, rcond=None)[0]  # after = before C
         np.testing.assert_allclose(rotation.rpy_from_dcm(transposed), angles, rtol=0.01)
@@ -194,7 +195,7 @@ def test_temperature_polynomial_and_lag_are_recovered(rich):
     for axis in range(3):
         estimate = recovered(change[:, axis], d, d**2, d**3)
         np.testing.assert_allclose(estimate, [c[k][axis] for k in ("c1", "c2", "c3")], rtol=0.01)
-    out = emulate.corrupt(rich, None, RNG(0), temperature=profile).imu
+    out = corrupt(rich, None, RNG(0), temperature=profile).imu
     np.testing.assert_allclose(out.temperature, profile.at(rich.t))
 
 
@@ -213,9 +214,9 @@ def test_vibration_line_is_recovered_and_follows_the_motion(rich):
 
 
 def test_saturation_and_quantization(rich):
-    out = emulate.corrupt(rich, None, RNG(1), effects=[use("saturation", "accel", limit=[2.0, 5.0, 12.0])]).imu
+    out = corrupt(rich, None, RNG(1), effects=[use("saturation", "accel", limit=[2.0, 5.0, 12.0])]).imu
     np.testing.assert_array_equal(out.accel, np.clip(rich.accel, [-2, -5, -12], [2, 5, 12]))
-    coarse = emulate.corrupt(rich, None, RNG(1), effects=[use("quantization", "gyro", lsb=0.01)]).imu
+    coarse = corrupt(rich, None, RNG(1), effects=[use("quantization", "gyro", lsb=0.01)]).imu
     steps = coarse.gyro / 0.01
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
     error = coarse.gyro - rich.gyro
@@ -227,7 +228,7 @@ def test_saturation_and_quantization(rich):
         use("saturation", "accel", limit=2.0),
         use("turn_on_bias", "accel", value=1.0),
     ]
-    both = emulate.corrupt(rich, None, RNG(1), effects=biased).imu
+    both = corrupt(rich, None, RNG(1), effects=biased).imu
     np.testing.assert_allclose(both.accel, np.round(np.clip(rich.accel + 1.0, -2, 2) / 0.5) * 0.5)
 
 
@@ -235,25 +236,23 @@ def test_decimation_filter_delays_and_attenuates(rich):
     t = rich.t
     w = np.sin(2 * np.pi * 2.0 * t)[:, None] * np.ones(3)
     record = ImuRecord(t, w, rich.accel, "mean")
-    averaged = emulate.corrupt(record, None, RNG(0), effects=[use("decimation_filter", "gyro", taps=9)]).imu.gyro[
-        1000:, 0
-    ]
+    averaged = corrupt(record, None, RNG(0), effects=[use("decimation_filter", "gyro", taps=9)]).imu.gyro[1000:, 0]
     s, c = np.sin(4 * np.pi * t[1000:]), np.cos(4 * np.pi * t[1000:])
     a, b = recovered(averaged, s, c)
     assert -np.arctan2(b, a) / (4 * np.pi) == pytest.approx(0.04, rel=0.01)  # (9 - 1) / 2 samples
     gain = np.sin(9 * 2 * np.pi * 2 * 0.005) / (9 * np.sin(2 * np.pi * 2 * 0.005))
     assert np.hypot(a, b) == pytest.approx(gain, rel=0.01)
     low = use("decimation_filter", "gyro", cutoff=2.0, order=2)
-    passed = emulate.corrupt(record, None, RNG(0), effects=[low]).imu.gyro[1000:, 0]
+    passed = corrupt(record, None, RNG(0), effects=[low]).imu.gyro[1000:, 0]
     assert np.hypot(*recovered(passed, s, c)) == pytest.approx(np.sqrt(0.5), rel=0.01)
     # at rest nothing happens, from the first sample on
     rest = ImuRecord(t, np.full((t.size, 3), 0.3), rich.accel, "mean")
-    np.testing.assert_allclose(emulate.corrupt(rest, None, RNG(0), effects=[low]).imu.gyro, 0.3, atol=1e-12)
+    np.testing.assert_allclose(corrupt(rest, None, RNG(0), effects=[low]).imu.gyro, 0.3, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["increment", "mean"])
 def test_models_that_are_left_out(kind):
-    ideal = emulate.ideal_imu(emulate.built_in("helicopter_mapping"), 20.0, kind=kind, span=(100.0, 400.0))
+    ideal = ideal_imu(built_in("helicopter_mapping"), 20.0, kind=kind, span=(100.0, 400.0))
     r = ideal.reference
     step = np.diff(ideal.imu.t, prepend=2 * ideal.imu.t[0] - ideal.imu.t[1])[:, None] if kind == "increment" else 1.0
     c = rotation.dcm_from_rpy(r.rpy)
@@ -267,9 +266,9 @@ def test_models_that_are_left_out(kind):
         regressor = np.einsum("nji,nj->ni", c, ned)
         np.testing.assert_allclose(recovered(change.ravel(), regressor.ravel()), value, rtol=0.01)
     with pytest.raises(InputError, match="'earth_rate' needs the reference"):
-        emulate.corrupt(ideal.imu, None, RNG(0), effects=[use("earth_rate")])
+        corrupt(ideal.imu, None, RNG(0), effects=[use("earth_rate")])
     with pytest.raises(InputError, match="needs a temperature"):
-        emulate.corrupt(ideal.imu, None, RNG(0), effects=[use("temperature", "gyro", c1=1e-4)])
+        corrupt(ideal.imu, None, RNG(0), effects=[use("temperature", "gyro", c1=1e-4)])
 
 
 # -- timing
@@ -278,7 +277,7 @@ def test_models_that_are_left_out(kind):
 
 def test_time_stamps(rich):
     def stamps(*uses):
-        return emulate.corrupt(rich, None, RNG(4), effects=uses).imu.t
+        return corrupt(rich, None, RNG(4), effects=uses).imu.t
 
     offset = stamps(use("imu_gnss_time_offset", offset="5 ms"))
     np.testing.assert_allclose(offset - rich.t, 0.005, rtol=0.01)  # positive: stamps are late
@@ -291,7 +290,7 @@ def test_time_stamps(rich):
 
 
 def test_dropped_samples_leave_gaps_of_the_stated_size(rich):
-    out = emulate.corrupt(rich, None, RNG(4), effects=[use("dropped_samples", probability=0.01, burst=3)])
+    out = corrupt(rich, None, RNG(4), effects=[use("dropped_samples", probability=0.01, burst=3)])
     n = rich.t.size
     lost = 1 - len(out.imu) / n
     expected = 1 - 0.99**3
@@ -317,8 +316,8 @@ def test_increments_carry_the_effects_times_the_interval(rich):
         use("white_noise", "accel", N=1e-3),
         use("quantization", "accel", lsb=0.1),
     ]
-    mean = emulate.corrupt(rich, {"gyro_x": WN(1e-3)}, RNG(3), effects=uses).imu
-    sums = emulate.corrupt(increments, {"gyro_x": WN(1e-3)}, RNG(3), effects=uses).imu
+    mean = corrupt(rich, {"gyro_x": WN(1e-3)}, RNG(3), effects=uses).imu
+    sums = corrupt(increments, {"gyro_x": WN(1e-3)}, RNG(3), effects=uses).imu
     np.testing.assert_allclose(sums.gyro / step, mean.gyro, atol=1e-11)
     assert np.mean(np.abs(sums.accel / step - mean.accel) > 1e-6) < 1e-3  # rounding ties may fall either way
 
@@ -339,7 +338,7 @@ def draws(*uses, draws=DRAWS, speed=10.0, degc=45.0, truth=None):
     imu = ImuRecord(t, zero, zero, "mean")
     reference = Trajectory(t, zero, zero + np.array([speed, 0.0, 0.0]), zero)
     for seed in np.random.SeedSequence(20260).spawn(draws):
-        out = emulate.corrupt(
+        out = corrupt(
             imu, truth, RNG(seed), effects=uses, reference=reference, temperature=np.full(N_SAMPLES, degc)
         ).imu
         yield out.gyro[:, 0]
@@ -481,7 +480,7 @@ def drive():
 
 
 def gnss_errors(drive, *uses, sigma=0.0, rate=2.0, seed=3):
-    fixes = emulate.gnss_fixes(drive, rate, sigma, sigma, effects=uses, rng=RNG(seed))
+    fixes = gnss_fixes(drive, rate, sigma, sigma, effects=uses, rng=RNG(seed))
     rows = np.searchsorted(drive.t, fixes.t - 1e-6)
     return fixes, earth.position_difference(fixes.llh, drive.llh[rows]), fixes.vel_ned - drive.vel_ned[rows]
 
@@ -550,20 +549,20 @@ def test_gnss_outliers_and_quality(drive):
 
 def test_outages_by_area_and_at_random(drive):
     centre = drive.llh[400]
-    area = emulate.AreaOutage(centre[0], centre[1], 100.0)
-    fixes = emulate.gnss_fixes(drive, 2.0, 0.0, 0.0, outages=[area], rng=RNG(0))
+    area = AreaOutage(centre[0], centre[1], 100.0)
+    fixes = gnss_fixes(drive, 2.0, 0.0, 0.0, outages=[area], rng=RNG(0))
     distance = earth.position_difference(drive.llh, centre)
     near = np.hypot(distance[:, 0], distance[:, 1]) < 100.0
     np.testing.assert_array_equal(np.isin(drive.t[1:], fixes.t), ~near[1:])
 
-    drawn = emulate.random_outages(0.0, 360000.0, per_hour=6.0, mean_s=30.0, rng=RNG(1), clear_s=100.0)
-    assert drawn == emulate.random_outages(0.0, 360000.0, per_hour=6.0, mean_s=30.0, rng=RNG(1), clear_s=100.0)
+    drawn = random_outages(0.0, 360000.0, per_hour=6.0, mean_s=30.0, rng=RNG(1), clear_s=100.0)
+    assert drawn == random_outages(0.0, 360000.0, per_hour=6.0, mean_s=30.0, rng=RNG(1), clear_s=100.0)
     assert drawn[0].start_s >= 100.0
     assert all(a.end_s < b.start_s for a, b in pairwise(drawn))
     assert len(drawn) == pytest.approx(600, rel=0.2)
     assert np.mean([o.duration_s for o in drawn]) == pytest.approx(30.0, rel=0.3)
     with pytest.raises(InputError, match="no fix at all"):
-        emulate.gnss_fixes(drive, 2.0, outages=[emulate.AreaOutage(centre[0], centre[1], 1e7)], rng=RNG(0))
+        gnss_fixes(drive, 2.0, outages=[AreaOutage(centre[0], centre[1], 1e7)], rng=RNG(0))
 
 
 def test_datasheet_scales_differ_by_sensor():

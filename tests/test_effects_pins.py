@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from insemu import effects, emulate, rotation
+from insemu import effects, rotation
 from insemu.denoise import outstanding
 from insemu.effects import AID_KINDS, EFFECTS, AidErrors, EffectUse, aid_age, aid_corrected
 from insemu.effects.base import Effect
 from insemu.effects.chain import FixErrors
 from insemu.effects.hiding import DriveLot, RestLot
 from insemu.effects.motion import FixGeometry, Motion, _quiet, steady
+from insemu.emulate import TemperatureProfile, corrupt
 from insemu.errors import InputError
 from insemu.records import AidRecord, GnssRecord, ImuRecord, Trajectory
 from tests.pins import differences, kept, plain
@@ -137,13 +138,13 @@ def _aid(use: EffectUse) -> Any:
 
 
 def _imu(use: EffectUse, kind: str) -> Any:
-    out = emulate.corrupt(
+    out = corrupt(
         imu(kind),
         None,
         RNG(1),
         effects=[use],
         reference=reference(),
-        temperature=emulate.TemperatureProfile((START, START + 18.0), (20.0, 28.0)),
+        temperature=TemperatureProfile((START, START + 18.0), (20.0, 28.0)),
     )
     assert out.imu is not None
     return [out.imu.t, out.imu.gyro, out.imu.accel, out.kept]

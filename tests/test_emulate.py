@@ -7,7 +7,20 @@ import numpy as np
 import pytest
 from scipy.signal import get_window
 
-from insemu import earth, emulate, rotation, strapdown
+from insemu import earth, rotation, strapdown
+from insemu.emulate import (
+    TRAJECTORIES,
+    Mounting,
+    Outage,
+    RecordedErrors,
+    SmoothPath,
+    built_in,
+    corrupt,
+    gnss_fixes,
+    ideal_imu,
+    navigation_error,
+    simulated_pieces,
+)
 from insemu.emulate.gnss import antenna, state_at
 from insemu.emulate.path import sensor_motion
 from insemu.errors import InputError
@@ -17,21 +30,19 @@ from insemu.records import AXES, Trajectory
 
 @pytest.fixture(scope="module")
 def helicopter():
-    return emulate.built_in("helicopter_mapping")
+    return built_in("helicopter_mapping")
 
 
 @pytest.fixture(scope="module")
 def ideal(helicopter):
-    return emulate.ideal_imu(helicopter)
+    return ideal_imu(helicopter)
 
 
-@pytest.mark.parametrize(
-    "mounting", [None, emulate.Mounting((1.0, -0.5, 0.3), (np.pi, -0.1, 3.0))], ids=["plain", "mounted"]
-)
-@pytest.mark.parametrize("name", sorted(emulate.TRAJECTORIES))
+@pytest.mark.parametrize("mounting", [None, Mounting((1.0, -0.5, 0.3), (np.pi, -0.1, 3.0))], ids=["plain", "mounted"])
+@pytest.mark.parametrize("name", sorted(TRAJECTORIES))
 def test_exact_mode_returns_its_reference(name, mounting):
-    flight = emulate.built_in(name)
-    ideal = emulate.ideal_imu(flight, mounting=mounting, span=(flight.path.start, min(flight.path.end, 1200.0)))
+    flight = built_in(name)
+    ideal = ideal_imu(flight, mounting=mounting, span=(flight.path.start, min(flight.path.end, 1200.0)))
     nav = strapdown.mechanize(ideal.imu, ideal.reference)
     assert np.linalg.norm(earth.position_difference(nav.llh, ideal.reference.llh), axis=1).max() <= 1e-6
     assert np.abs(rotation.attitude_difference(nav.rpy, ideal.reference.rpy)).max() <= 1e-9
@@ -83,8 +94,8 @@ def test_largest_line_reads_a_sine():
 @pytest.mark.parametrize("name", ["urban_drive_1", "turbulent_uav"])
 def test_nothing_vibrates_that_was_not_asked_for(name):
     # the knots of the path must not repeat the motion of up to 3 Hz around their own rate
-    path = emulate.built_in(name).path
-    motion = sensor_motion(path, path.start + np.arange(24000) / 100.0, emulate.Mounting())
+    path = built_in(name).path
+    motion = sensor_motion(path, path.start + np.arange(24000) / 100.0, Mounting())
     assert largest_line(motion.w_ib_b, 100.0, 12.0) < 1e-7
     assert largest_line(motion.f_ib_b, 100.0, 12.0) < 5e-6
 
@@ -93,7 +104,7 @@ def test_nothing_vibrates_that_was_not_asked_for(name):
 def test_sensor_motion_by_an_independent_route(helicopter, arm):
     """Inertial axes: second differences of the sensor's inertial position, and of its attitude, know nothing of NED."""
     path, d = helicopter.path, 2e-3
-    mounting = emulate.Mounting(arm, (0.3, -0.2, 1.0))
+    mounting = Mounting(arm, (0.3, -0.2, 1.0))
     t = np.linspace(60.0, 1150.0, 200)
 
     def inertial(at):
@@ -129,19 +140,19 @@ def test_sensor_motion_by_an_independent_route(helicopter, arm):
 def test_continuous_mode_converges_with_the_step(helicopter):
     error = {}
     for rate in (50.0, 100.0):
-        ideal = emulate.ideal_imu(helicopter, rate, mode="continuous")
-        error[rate] = np.linalg.norm(emulate.navigation_error(ideal)[:, :3], axis=1).max()
+        ideal = ideal_imu(helicopter, rate, mode="continuous")
+        error[rate] = np.linalg.norm(navigation_error(ideal)[:, :3], axis=1).max()
     assert error[100.0] < 0.01
     assert error[50.0] / error[100.0] >= 3.5
 
 
 def test_means_and_samples_say_what_they_are(helicopter):
     span = (0.0, 300.0)
-    increments = emulate.ideal_imu(helicopter, mode="continuous", span=span)
-    means = emulate.ideal_imu(helicopter, mode="continuous", kind="mean", span=span)
+    increments = ideal_imu(helicopter, mode="continuous", span=span)
+    means = ideal_imu(helicopter, mode="continuous", kind="mean", span=span)
     np.testing.assert_allclose(means.imu.as_increments().gyro, increments.imu.gyro, rtol=1e-12, atol=1e-18)
-    samples = emulate.ideal_imu(helicopter, 200.0, mode="continuous", kind="sample", span=span)
-    error = np.linalg.norm(emulate.navigation_error(samples)[:, :3], axis=1).max()
+    samples = ideal_imu(helicopter, 200.0, mode="continuous", kind="sample", span=span)
+    error = np.linalg.norm(navigation_error(samples)[:, :3], axis=1).max()
     assert 1e-4 < error < 5.0  # the trapezoid of samples is what it is
 
 
@@ -150,14 +161,14 @@ def test_means_and_samples_say_what_they_are(helicopter):
 
 
 def moved_path(path, origin):
-    return emulate.SmoothPath(path.position, path.attitude, np.asarray(origin), "moved")
+    return SmoothPath(path.position, path.attitude, np.asarray(origin), "moved")
 
 
 @pytest.mark.parametrize("mode", ["exact", "continuous"])
 def test_longitude_does_not_matter(helicopter, mode):
     path, span = helicopter.path, (0.0, 300.0)
-    here = emulate.ideal_imu(path, mode=mode, span=span)
-    there = emulate.ideal_imu(moved_path(path, path.origin + np.array([0, 3.0, 0])), mode=mode, span=span)
+    here = ideal_imu(path, mode=mode, span=span)
+    there = ideal_imu(moved_path(path, path.origin + np.array([0, 3.0, 0])), mode=mode, span=span)
     # rounding of radians: 4e-16 rad of 3 rad in position, 1e-9 m; the signals do not carry it further
     np.testing.assert_allclose(there.imu.gyro, here.imu.gyro, atol=1e-13)
     np.testing.assert_allclose(there.imu.accel, here.imu.accel, atol=1e-11)
@@ -174,41 +185,39 @@ def test_the_other_hemisphere_is_the_mirror_image(helicopter):
     position = PPoly(path.position.c * flip, path.position.x)
     attitude = path.attitude.c * np.array([-1.0, 1.0, -1.0])
     attitude[-1, :, 2] += np.pi  # heading psi to pi - psi: east stays east
-    mirror = emulate.SmoothPath(
-        position, PPoly(attitude, path.attitude.x), path.origin * np.array([-1, 1, 1]), "mirror"
-    )
-    one, other = (sensor_motion(p, t, emulate.Mounting()) for p in (path, mirror))
+    mirror = SmoothPath(position, PPoly(attitude, path.attitude.x), path.origin * np.array([-1, 1, 1]), "mirror")
+    one, other = (sensor_motion(p, t, Mounting()) for p in (path, mirror))
     np.testing.assert_allclose(other.w_ib_b, one.w_ib_b * [-1, 1, -1], atol=1e-13)
     np.testing.assert_allclose(other.f_ib_b, one.f_ib_b * [1, -1, 1], atol=1e-11)
 
 
 def test_a_turned_sensor_feels_the_same_in_its_own_axes(helicopter):
     t = np.linspace(30.0, 1100.0, 300)
-    turned = emulate.Mounting((0.5, 0.2, -0.3), (1.0, -0.5, 2.0))
-    plain, other = (sensor_motion(helicopter.path, t, m) for m in (emulate.Mounting(turned.lever_arm), turned))
+    turned = Mounting((0.5, 0.2, -0.3), (1.0, -0.5, 2.0))
+    plain, other = (sensor_motion(helicopter.path, t, m) for m in (Mounting(turned.lever_arm), turned))
     np.testing.assert_allclose(other.w_ib_b, plain.w_ib_b @ turned.dcm(), atol=1e-14)
     np.testing.assert_allclose(other.f_ib_b, plain.f_ib_b @ turned.dcm(), atol=1e-12)
     np.testing.assert_array_equal(other.vel_ned, plain.vel_ned)
 
 
 def test_a_later_start_is_the_same_flight(helicopter):
-    whole = emulate.ideal_imu(helicopter, mode="continuous", span=(0.0, 200.0))
-    part = emulate.ideal_imu(helicopter, mode="continuous", span=(100.0, 200.0))
+    whole = ideal_imu(helicopter, mode="continuous", span=(0.0, 200.0))
+    part = ideal_imu(helicopter, mode="continuous", span=(100.0, 200.0))
     np.testing.assert_allclose(part.imu.accel[1:], whole.imu.accel[10001:], atol=1e-13)
     np.testing.assert_allclose(part.imu.gyro[1:], whole.imu.gyro[10001:], atol=1e-15)
 
 
 def test_bad_options_are_named(helicopter, ideal):
     with pytest.raises(InputError, match=r"needs mode 'continuous'|need mode 'continuous'"):
-        emulate.ideal_imu(helicopter, kind="sample")
+        ideal_imu(helicopter, kind="sample")
     with pytest.raises(InputError, match="did you mean 'exact'"):
-        emulate.ideal_imu(helicopter, mode="exakt")
+        ideal_imu(helicopter, mode="exakt")
     with pytest.raises(InputError, match="smooth path"):
-        emulate.ideal_imu(ideal.reference, mode="continuous")
+        ideal_imu(ideal.reference, mode="continuous")
     with pytest.raises(InputError, match="outside the path"):
-        emulate.ideal_imu(helicopter, span=(0.0, 2000.0))
+        ideal_imu(helicopter, span=(0.0, 2000.0))
     with pytest.raises(InputError, match=r"unknown trajectory 'helicoptr_mapping'.*helicopter_mapping"):
-        emulate.built_in("helicoptr_mapping")
+        built_in("helicoptr_mapping")
 
 
 # -- stochastic errors
@@ -217,49 +226,49 @@ def test_bad_options_are_named(helicopter, ideal):
 
 def test_corrupt_adds_the_drawn_errors_times_the_interval(ideal):
     truth = {"gyro_x": 2 * GM(1e-4, 0.01) + WN(1e-4), "accel_z": WN(1e-3)}
-    out = emulate.corrupt(ideal.imu, truth, np.random.default_rng(3))
+    out = corrupt(ideal.imu, truth, np.random.default_rng(3))
     assert out.components["gyro_x"].shape == (3, len(ideal.imu))
     np.testing.assert_allclose(out.components["gyro_x"].sum(0), out.errors[:, 0], atol=1e-18)
     np.testing.assert_allclose(
         (out.imu.gyro - ideal.imu.gyro)[1:, 0] / np.diff(ideal.imu.t), out.errors[1:, 0], atol=1e-12
     )
     assert not out.errors[:, 1:5].any()
-    means = emulate.ideal_imu(emulate.built_in("static"), kind="mean").imu
+    means = ideal_imu(built_in("static"), kind="mean").imu
     np.testing.assert_allclose(
-        emulate.corrupt(means, truth, np.random.default_rng(3)).imu.accel[:, 2] - means.accel[:, 2],
+        corrupt(means, truth, np.random.default_rng(3)).imu.accel[:, 2] - means.accel[:, 2],
         out.errors[:, 5],
         atol=1e-12,
     )
 
 
 def test_an_axis_draws_alone(ideal):
-    both = emulate.corrupt(ideal.imu, {"gyro_x": WN(1e-4), "accel_z": WN(1e-3)}, np.random.default_rng(9))
-    one = emulate.corrupt(ideal.imu, {"accel_z": WN(1e-3)}, np.random.default_rng(9))
+    both = corrupt(ideal.imu, {"gyro_x": WN(1e-4), "accel_z": WN(1e-3)}, np.random.default_rng(9))
+    one = corrupt(ideal.imu, {"accel_z": WN(1e-3)}, np.random.default_rng(9))
     np.testing.assert_array_equal(both.errors[:, 5], one.errors[:, 5])
 
 
 def test_unknown_axis_is_named(ideal):
     with pytest.raises(InputError, match="'gyro_u'"):
-        emulate.corrupt(ideal.imu, {"gyro_u": WN(1e-4)}, np.random.default_rng(0))
+        corrupt(ideal.imu, {"gyro_u": WN(1e-4)}, np.random.default_rng(0))
 
 
 def test_recorded_pieces_do_not_overlap_and_lose_their_mean(ideal):
     n = len(ideal.imu)
     values = np.random.default_rng(1).normal(3.0, 1.0, (3 * n + 500, 6))
-    recorded = emulate.RecordedErrors(values, 100.0)
+    recorded = RecordedErrors(values, 100.0)
     assert recorded.count(n) == 3
     rng = np.random.default_rng(0)
-    pieces = [emulate.corrupt(ideal.imu, recorded, rng, realization=r).errors for r in range(3)]
+    pieces = [corrupt(ideal.imu, recorded, rng, realization=r).errors for r in range(3)]
     np.testing.assert_allclose(np.concatenate(pieces), (values - values.mean(0))[: 3 * n], atol=1e-12)
-    assert np.abs(emulate.RecordedErrors(values, 100.0, remove_mean="piece").piece(1, n).mean(0)).max() < 1e-12
-    spanned = emulate.RecordedErrors(values, 100.0, remove_mean=(10.0, 20.0), offset_s=5.0, order=(1, 0))
+    assert np.abs(RecordedErrors(values, 100.0, remove_mean="piece").piece(1, n).mean(0)).max() < 1e-12
+    spanned = RecordedErrors(values, 100.0, remove_mean=(10.0, 20.0), offset_s=5.0, order=(1, 0))
     np.testing.assert_allclose(spanned.piece(1, n), (values - values[1000:2000].mean(0))[500 : 500 + n], atol=1e-12)
     with pytest.raises(InputError, match=r"3 piece\(s\).*piece 4 does not exist"):
         recorded.piece(3, n)
     with pytest.raises(InputError, match=r"recorded at 50 Hz.*not resampled"):
-        emulate.corrupt(ideal.imu, emulate.RecordedErrors(values, 50.0), rng)
+        corrupt(ideal.imu, RecordedErrors(values, 50.0), rng)
     with pytest.raises(InputError, match="outside the record"):
-        emulate.RecordedErrors(values, 100.0, offset_s=1e6)
+        RecordedErrors(values, 100.0, offset_s=1e6)
 
 
 # -- GNSS
@@ -267,7 +276,7 @@ def test_recorded_pieces_do_not_overlap_and_lose_their_mean(ideal):
 
 
 def test_fixes_at_nodes_are_the_nodes(ideal):
-    fixes = emulate.gnss_fixes(ideal.reference, 1.0, 0.0, 0.0, rng=np.random.default_rng(0))
+    fixes = gnss_fixes(ideal.reference, 1.0, 0.0, 0.0, rng=np.random.default_rng(0))
     rows = np.arange(100, len(ideal.reference), 100)
     # the weights of an interpolation at a node are 1 and 0 within eps, a step is 1 m
     np.testing.assert_allclose(fixes.llh, ideal.reference.llh[rows], rtol=1e-15, atol=1e-15)
@@ -279,7 +288,7 @@ def test_antenna_between_nodes_follows_the_path(helicopter, ideal):
     t = np.linspace(100.003, 1100.003, 500)
     arm = np.array([1.0, -0.5, -1.5])
     llh, vel = antenna(ideal.reference, t, arm)
-    motion = sensor_motion(helicopter.path, t, emulate.Mounting(tuple(arm)))
+    motion = sensor_motion(helicopter.path, t, Mounting(tuple(arm)))
     assert np.abs(earth.position_difference(llh, motion.llh)).max() < 2e-4
     assert np.abs(vel - motion.vel_ned).max() < 2e-3
 
@@ -305,20 +314,20 @@ def test_rates_between_scattered_nodes_are_those_of_a_turn_that_grows():
 
 def test_outages_leave_the_other_fixes_alone(ideal):
     def fixes(*outages):
-        return emulate.gnss_fixes(ideal.reference, 1.0, 0.02, 0.01, outages=outages, rng=np.random.default_rng(5))
+        return gnss_fixes(ideal.reference, 1.0, 0.02, 0.01, outages=outages, rng=np.random.default_rng(5))
 
-    full, cut = fixes(), fixes(emulate.Outage(420.0, 60.0))
+    full, cut = fixes(), fixes(Outage(420.0, 60.0))
     missing = np.setdiff1d(full.t, cut.t)
     np.testing.assert_array_equal(missing, np.arange(421.0, 481.0))
     np.testing.assert_array_equal(cut.llh, full.llh[np.isin(full.t, cut.t)])
-    np.testing.assert_array_equal(fixes(emulate.Outage(420.0, 0.0)).llh, full.llh)
+    np.testing.assert_array_equal(fixes(Outage(420.0, 0.0)).llh, full.llh)
     with pytest.raises(InputError, match="not inside the trajectory"):
-        fixes(emulate.Outage(1190.0, 60.0))
+        fixes(Outage(1190.0, 60.0))
 
 
 def test_fix_noise_has_the_stated_sigma(ideal):
     sigma, sigma_v = np.array([0.01, 0.02, 0.04]), np.array([0.1, 0.2, 0.3])
-    fixes = emulate.gnss_fixes(ideal.reference, 10.0, sigma, sigma_v, (1.0, 2.0, 3.0), rng=np.random.default_rng(5))
+    fixes = gnss_fixes(ideal.reference, 10.0, sigma, sigma_v, (1.0, 2.0, 3.0), rng=np.random.default_rng(5))
     llh, vel = antenna(ideal.reference, fixes.t, (1.0, 2.0, 3.0))
     n = len(fixes)
     # chi-square at 1e-6 two-sided is within 5 sigma / sqrt(2 n)
@@ -330,23 +339,23 @@ def test_fix_noise_has_the_stated_sigma(ideal):
 def test_bad_gnss_input_is_named(ideal):
     rng = np.random.default_rng(0)
     with pytest.raises(InputError, match="position sigma"):
-        emulate.gnss_fixes(ideal.reference, 1.0, -0.1, rng=rng)
+        gnss_fixes(ideal.reference, 1.0, -0.1, rng=rng)
     with pytest.raises(InputError, match="GNSS rate is 0"):
-        emulate.gnss_fixes(ideal.reference, 0.0, rng=rng)
+        gnss_fixes(ideal.reference, 0.0, rng=rng)
     with pytest.raises(InputError, match="no fix at"):
-        emulate.gnss_fixes(ideal.reference, 1e-5, rng=rng)
+        gnss_fixes(ideal.reference, 1e-5, rng=rng)
     with pytest.raises(InputError, match="negative duration"):
-        emulate.Outage(3.0, -1.0)
+        Outage(3.0, -1.0)
 
 
 def test_axes_are_complete():
     assert len(AXES) == 6
-    assert isinstance(emulate.ideal_imu(emulate.built_in("static")).reference, Trajectory)
+    assert isinstance(ideal_imu(built_in("static")).reference, Trajectory)
 
 
 def test_a_sensor_stands_for_its_axes(ideal):
     def drawn(truth):
-        return emulate.corrupt(ideal.imu, truth, np.random.default_rng(1)).errors
+        return corrupt(ideal.imu, truth, np.random.default_rng(1)).errors
 
     whole = drawn({"gyro": WN(1e-3), "accel": WN(1e-2), "gyro_y": WN(5e-3)})
     spelled = {a: WN(1e-3 if a.startswith("gyro") else 1e-2) for a in AXES} | {"gyro_y": WN(5e-3)}
@@ -361,7 +370,7 @@ def test_a_record_without_room_is_said(monkeypatch):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr("tempfile.TemporaryFile", lambda **_: Full())
-    pieces = emulate.simulated_pieces(
+    pieces = simulated_pieces(
         {axis: NoiseModel((WN(N=1e-3),)) for axis in AXES},
         501,
         50.0,
@@ -378,7 +387,7 @@ def test_pieces_of_a_simulated_record_are_the_same_whoever_asks_for_them():
     drawn = []
 
     def pieces():
-        return emulate.simulated_pieces(
+        return simulated_pieces(
             model, 501, 50.0, record_s=40.0, rng=lambda record, axis: drawn.append((record, axis)) or np.random.default_rng([record, axis]),
             states_at=np.array([0, 100, 500]),
         )  # fmt: skip

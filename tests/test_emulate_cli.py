@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import yaml
 
-from insemu import emulate
 from insemu.cli import main
 from insemu.effects import AID_KINDS, EFFECTS
+from insemu.emulate import built_in, dead_reckon, ideal_imu
 from insemu.evaluate.emulated import EmulatedWorld
 from insemu.formats import read_recording, write
 from insemu.records import ImuRecord, Recording, Trajectory
@@ -59,7 +59,7 @@ def test_what_is_emulated_is_read_by_the_others(tmp_path, capsys, out):
     # the same realization with its errors: the bias is there, and it is the same each time
     assert run("emulate", file, "--output", target, "--realization", 3) == 0
     noisy = read_recording(target)
-    ideal = emulate.ideal_imu(emulate.built_in("urban_drive_1"), 50.0, span=(0.0, 120.0)).imu
+    ideal = ideal_imu(built_in("urban_drive_1"), 50.0, span=(0.0, 120.0)).imu
     bias = (noisy.imu.gyro - ideal.gyro)[1:].mean(axis=0) * 50.0
     assert np.rad2deg(bias[0]) == pytest.approx(0.1, abs=0.015)
     assert run("emulate", file, "--output", tmp_path / "again.npz", "--realization", 3) == 0
@@ -144,7 +144,7 @@ def test_the_mean_of_a_span_is_taken_off(tmp_path, capsys, value, message):
 
 
 def test_an_area_that_is_never_entered_is_warned_about(tmp_path, capsys):
-    start = np.rad2deg(emulate.built_in("urban_drive_1").path.llh([0.0])[0])
+    start = np.rad2deg(built_in("urban_drive_1").path.llh([0.0])[0])
     areas = [{"latitude": f"{start[1]} deg", "longitude": f"{start[0]} deg", "radius": "100 m"}]
     assert run("emulate", scenario(tmp_path, gnss={"areas": areas}), "--output", tmp_path / "r.npz") == 0
     said = capsys.readouterr().err
@@ -181,7 +181,7 @@ def test_bad_input_ends_with_code_two_and_writes_nothing(tmp_path, capsys):
 
 
 def test_recordings_without_a_usable_reference_are_named(tmp_path, capsys):
-    ideal = emulate.ideal_imu(emulate.built_in("static"), 10.0, span=(0.0, 60.0))
+    ideal = ideal_imu(built_in("static"), 10.0, span=(0.0, 60.0))
     write(tmp_path / "bare.npz", Recording(ideal.imu))
     assert run("dead-reckon", tmp_path / "bare.npz") == 2
     assert "has no reference" in capsys.readouterr().err
@@ -197,10 +197,10 @@ def test_recordings_without_a_usable_reference_are_named(tmp_path, capsys):
 
 @pytest.mark.parametrize("kind", ["increment", "mean", "sample"])
 def test_dead_reckoning_honours_the_kind_and_other_reference_rates(tmp_path, kind):
-    flight = emulate.built_in("helicopter_mapping")
-    ideal = emulate.ideal_imu(flight, 200.0, mode="continuous", kind=kind, span=(0.0, 200.0))
+    flight = built_in("helicopter_mapping")
+    ideal = ideal_imu(flight, 200.0, mode="continuous", kind=kind, span=(0.0, 200.0))
     reference = flight.path.sample(np.arange(10.013, 190.0, 0.37))
-    result = emulate.dead_reckon(Recording(ideal.imu, None, reference))
+    result = dead_reckon(Recording(ideal.imu, None, reference))
     # started between two nodes of a 2.7 Hz reference in hover, so by its interpolation; samples go by the trapezoid
     assert result.max_position_error_m < (0.05 if kind != "sample" else 2.0)
     assert result.kind == kind and result.start_s == pytest.approx(10.015)
@@ -232,4 +232,4 @@ def test_dead_reckoning_of_another_programs_file(tmp_path, capsys):
 def test_a_reckoning_of_two_rows():
     imu = ImuRecord([0.0, 0.1], np.zeros((2, 3)), np.zeros((2, 3)), "mean")
     reference = Trajectory([0.0, 0.1], np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 3)))
-    assert emulate.dead_reckon(Recording(imu, None, reference)).epochs == 1
+    assert dead_reckon(Recording(imu, None, reference)).epochs == 1

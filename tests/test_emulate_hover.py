@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from insemu import earth, emulate
-from insemu.emulate import Waypoints, read_waypoints, route
+from insemu import earth
+from insemu.emulate import Waypoints, ideal_imu, navigation_error, read_waypoints, route
 from insemu.emulate.vehicle import VEHICLES
 from insemu.errors import InputError
 
@@ -87,8 +87,8 @@ def test_a_steep_leg_is_slowed_down_and_says_so():
 
 def test_its_ideal_imu_navigates_to_the_same_place():
     made, *_ = flown([[0, 0, 0], [0, 0, -15], [40, 0, -15], [4, 0, -15]], heading=[0, 90, 200, 10], hover=[2, 0, 3, 0])
-    ideal = emulate.ideal_imu(made.flight.path, 100.0)
-    assert np.abs(emulate.navigation_error(ideal)).max() < 1e-9
+    ideal = ideal_imu(made.flight.path, 100.0)
+    assert np.abs(navigation_error(ideal)).max() < 1e-9
 
 
 def test_columns_of_a_file_and_what_is_refused(tmp_path):

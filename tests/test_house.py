@@ -38,6 +38,8 @@ def _functions(tree: ast.AST, place: str, public: bool = True) -> Iterator[Funct
         if isinstance(node, ast.ClassDef):
             yield from _functions(node, f"{place}:{node.name}", public and not node.name.startswith("_"))
         elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            if any(ast.unparse(d) == "overload" for d in node.decorator_list):
+                continue  # types of the function that stands behind it
             doc = ast.get_docstring(node) or ""
             body = node.body[1:] if doc else node.body
             lines = node.end_lineno - body[0].lineno + 1 if body and node.end_lineno else 0

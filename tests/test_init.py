@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,9 @@ import yaml
 from typer.testing import CliRunner
 
 import insemu
-from insemu import noise, yamlfile
+from insemu import earth, noise, yamlfile
 from insemu.cli import app
+from insemu.emulate import SmoothPath, built_in, load_flight
 from insemu.errors import InputError
 from insemu.records import AXES
 from insemu.scenario import (
@@ -148,6 +150,52 @@ def test_a_gpx_track_of_a_phone_is_an_own_track(tmp_path) -> None:
     target.write_text(first_scenario(target, Wish(track=str(gpx))), encoding="utf-8")
     assert load(target).trajectory.track == "ride.gpx"
     assert "start: 120 s" in target.read_text(encoding="utf-8")
+
+
+def test_a_scenario_runs_of_whatever_a_recorder_or_a_planner_wrote(tmp_path) -> None:
+    """Without times, with a pause, with a point every 20 s, with a point 1 km off: flown, and near the truth."""
+    truth = built_in("urban_drive_1").path
+    t = np.arange(60.0, 360.0)
+    llh = truth.llh(t)
+
+    def gpx(name: str, rows: np.ndarray, t: np.ndarray, llh: np.ndarray, *, times: bool = True) -> str:
+        begin = datetime(2026, 5, 1, tzinfo=UTC)
+        points = "".join(
+            f'<trkpt lat="{np.degrees(llh[k, 0]):.8f}" lon="{np.degrees(llh[k, 1]):.8f}"><ele>{llh[k, 2]:.2f}</ele>'
+            + (f"<time>{(begin + timedelta(seconds=float(t[k]))).isoformat()}</time>" if times else "")
+            + "</trkpt>"
+            for k in rows
+        )
+        (tmp_path / f"{name}.gpx").write_text(f'<gpx version="1.1"><trk><trkseg>{points}</trkseg></trk></gpx>')
+        target = tmp_path / f"{name}.yaml"
+        target.write_text(first_scenario(target, Wish(track=str(tmp_path / f"{name}.gpx"))), encoding="utf-8")
+        return name
+
+    def flown(name: str) -> tuple[SmoothPath, tuple[str, ...]]:
+        asked = load(tmp_path / f"{name}.yaml").trajectory
+        found = load_flight(
+            track=None if asked.track is None else tmp_path / asked.track,
+            waypoints=None if asked.waypoints is None else tmp_path / asked.waypoints,
+            speed=asked.speed,
+            max_gap_s=asked.max_gap,
+        )
+        return found.flight.path, found.warnings
+
+    every = np.arange(t.size)
+    off = llh.copy()
+    off[100, 0] += np.radians(0.01)
+    path, said = flown(gpx("jump", every, t, off))
+    assert any("t = 100 s is 11" in s and "left out" in s for s in said)
+    assert np.linalg.norm(earth.position_difference(path.llh(t - 60.0), llh), axis=1).max() < 1.0
+    path, said = flown(gpx("pause", every, t + 180.0 * (t >= 200.0), llh))
+    assert any("the pause of 181 s" in s for s in said)
+    assert path.end - path.start == pytest.approx(299.0, abs=2.0)
+    path, _ = flown(gpx("sparse", every[::20], t, llh))
+    assert np.linalg.norm(earth.position_difference(path.llh(t[::20] - 60.0), llh[::20]), axis=1).max() < 5.0
+    path, _ = flown(gpx("plan", every[::5], t, llh, times=False))
+    way = path.llh(np.arange(path.start, path.end, 0.1))
+    nearest = [np.linalg.norm(earth.position_difference(way, p)[:, :2], axis=1).min() for p in llh[::5]]
+    assert max(nearest) < 10.0  # corners are rounded
 
 
 def test_waypoints_are_told_from_a_track(tmp_path) -> None:

@@ -672,7 +672,7 @@ def test_kml(tmp_path: Path) -> None:
     text = f'<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"><gx:Track>{{}}{coords}</gx:Track></kml>'
     found = open_files(files(tmp_path, {"a.kml": text.format(whens)}))
     same(found.gnss, began=found.origin.ns, t=[UNIX, UNIX + 1], llh=llh((46.5, 7.25, 400.5), (46.6, 7.35, 0.0)))
-    with pytest.raises(InputError, match=r"has positions without times; give their rate \(--map 'rate=1 Hz'\)"):
+    with pytest.raises(InputError, match=r"has positions without times: a scenario flies them as waypoints"):
         open_files(files(tmp_path, {"b.kml": text.format("")}))
     same(
         open_files(tmp_path / "b.kml", maps=("rate=2 Hz", "", "")).gnss,

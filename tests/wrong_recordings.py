@@ -13,7 +13,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from insemu import earth, emulate, rotation
+from insemu import earth, rotation
+from insemu.emulate import built_in, gnss_fixes, ideal_imu
 from insemu.formats import Opened
 from insemu.intake import examine
 from insemu.records import GnssRecord, ImuRecord
@@ -27,8 +28,8 @@ def flown(
 ) -> Opened:  # fmt: skip
     """A stretch of a built-in drive or flight with an IMU of a grade (1: consumer MEMS) and a receiver, its antenna some metres ahead."""
     rng = np.random.default_rng(seed)
-    path = emulate.built_in(which)
-    ideal = emulate.ideal_imu(path, rate, kind="mean", span=(start, start + seconds))
+    path = built_in(which)
+    ideal = ideal_imu(path, rate, kind="mean", span=(start, start + seconds))
     imu, n = ideal.imu, ideal.imu.t.size
     gyro = imu.gyro + grade * (
         np.deg2rad(0.01) * np.sqrt(rate) * rng.standard_normal((n, 3)) + np.deg2rad(0.3) * rng.standard_normal(3)
@@ -36,7 +37,7 @@ def flown(
     accel = imu.accel + grade * (2e-3 * np.sqrt(rate) * rng.standard_normal((n, 3)) + 0.05 * rng.standard_normal(3))
     if kind == "increment":
         gyro, accel = gyro / rate, accel / rate
-    gnss = emulate.gnss_fixes(
+    gnss = gnss_fixes(
         ideal.reference,
         fixes,
         (sigma, sigma, 1.5 * sigma),

@@ -6,7 +6,7 @@ import numpy as np
 import insemu as ins
 
 rng = np.random.default_rng(7)
-fits = [ins.fit(ins.WN(N=1.0).simulate(2048, 1.0, rng), "WN()", rate_hz=1.0)["WN1.N"] for _ in range(200)]
+fits = [ins.fit(ins.WN(N=1.0).simulate(2048, 1.0, rng), "WN()", rate=1.0)["WN1.N"] for _ in range(200)]
 order = np.argsort([e.value for e in fits])
 inside = np.array([e.low <= 1.0 <= e.high for e in fits])
 print(f"{inside.sum()} of {inside.size} intervals hold the truth")

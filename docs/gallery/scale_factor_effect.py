@@ -4,10 +4,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import insemu as ins
-from insemu import emulate
 from insemu.effects import EffectUse
+from insemu.emulate import built_in
 
-flight = emulate.built_in("urban_drive_1")
+flight = built_in("urban_drive_1")
 ideal = ins.ideal_imu(flight, 20.0)
 use = EffectUse.from_mapping({"effect": "scale_factor", "sensor": "gyro", "value": "2000 ppm"})
 out = ins.corrupt(ideal.imu, None, np.random.default_rng(1), effects=[use], reference=ideal.reference)

@@ -1,8 +1,5 @@
 """Emulation: from a trajectory to an ideal IMU, to a corrupted one, to GNSS fixes with outages."""
 
-import sys
-
-from insemu import CalledRoom
 from insemu.emulate.differenced import Differenced, difference
 from insemu.emulate.errors import RecordedErrors
 from insemu.emulate.flight import Flight, gusts, moving_share, origin_at
@@ -14,7 +11,7 @@ from insemu.emulate.pieces import ErrorPieces, Following, TrueStates, recorded_p
 from insemu.emulate.reckon import DeadReckoning, dead_reckon
 from insemu.emulate.sensor import Corrupted, TemperatureProfile, corrupt, covariates_of
 from insemu.emulate.sources import Source, load_flight, read_track
-from insemu.emulate.track import SmoothedTrack, Track, held_out_distance, smooth_track, turn_rate
+from insemu.emulate.track import SmoothedTrack, Track, bridged_gap, held_out_distance, smooth_track, turn_rate
 from insemu.emulate.trajectory import TRAJECTORIES, built_in
 from insemu.emulate.vehicle import VEHICLES
 from insemu.emulate.waypoints import Waypoints, read_waypoints, route
@@ -42,6 +39,7 @@ __all__ = [
     "TrueStates",
     "Waypoints",
     "antenna",
+    "bridged_gap",
     "built_in",
     "corrupt",
     "covariates_of",
@@ -69,5 +67,3 @@ __all__ = [
     "state_at",
     "turn_rate",
 ]
-
-sys.modules[__name__].__class__ = CalledRoom

@@ -8,7 +8,7 @@ rule.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -67,6 +67,11 @@ class Track:
         velocity = None if source.vel_ned is None else source.vel_ned[good]
         return cls(source.t[good], source.llh[good], velocity, None, pos, vel, name)
 
+    def rows(self, keep: NDArray[np.int64]) -> Track:
+        """Some of the points."""
+        parts = {n: getattr(self, n) for n in ("t", "llh", "vel_ned", "rpy", "pos_std", "vel_std")}
+        return Track(**{n: v[keep] if np.ndim(v) else v for n, v in parts.items()}, name=self.name)
+
 
 @dataclass(frozen=True)
 class SmoothedTrack:
@@ -91,6 +96,62 @@ class SmoothedTrack:
     residual_ned: Array
     weight: Array
     warnings: tuple[str, ...] = ()
+
+
+def without_jumps_and_pauses(track: Track, max_gap_s: float, car: Vehicle) -> tuple[Track, tuple[str, ...]]:
+    """A track without single points far off and without pauses, and what was left out in words.
+
+    A point is a jump where the vehicle could, at twice its largest speed, reach it neither from the point before nor get from it to the next,
+    but from the one to the other; less than that is weighed down (:func:`smooth_track`).
+    A gap is a pause where the vehicle comes no further in it than at its usual speed in the longest gap that is bridged; it goes on at that
+    speed.
+
+    Parameters
+    ----------
+    track : Track
+    max_gap_s : float
+        Longest gap that is bridged, s.
+    car : Vehicle
+        Gives the largest speed.
+    """
+    said = []
+    t, llh = np.asarray(track.t, dtype=float), np.asarray(track.llh, dtype=float)
+    if t.ndim != 1 or llh.shape != (t.size, 3) or t.size < 5 or not np.isfinite(llh).all() or (np.diff(t) <= 0).any():
+        return track, ()  # what is wrong with it says check_track
+    noise = 4.0 * float(np.mean(track.pos_std))
+
+    def reached(a: slice, b: slice) -> NDArray[np.bool_]:
+        way = np.linalg.norm(earth.position_difference(llh[b], llh[a])[:, :2], axis=1)
+        return np.asarray(way <= 2.0 * car.max_speed * (t[b] - t[a]) + noise)
+
+    step, over = reached(slice(None, -1), slice(1, None)), reached(slice(None, -2), slice(2, None))
+    jumps = 1 + np.flatnonzero(~step[:-1] & ~step[1:] & over)
+    if 0 < jumps.size <= 0.02 * t.size:
+        off = np.linalg.norm(earth.position_difference(llh[jumps], llh[jumps - 1])[:, :2], axis=1)
+        said += [
+            f"{track.name}: the point at t = {t[k]:.6g} s is {d:.0f} m off: left out"
+            for k, d in zip(jumps, off, strict=True)
+        ]
+        track = track.rows(np.setdiff1d(np.arange(t.size), jumps))
+        t, llh = track.t, track.llh
+    steps = np.diff(t)
+    way = np.linalg.norm(earth.position_difference(llh[1:], llh[:-1])[:, :2], axis=1)
+    usual = float(np.median(way / steps))
+    paused = (steps > max_gap_s) & (way <= usual * max_gap_s)
+    if usual > 0.0 and paused.any():
+        taken = np.maximum(way[paused] / usual, np.median(steps))
+        for k, s in zip(np.flatnonzero(paused), taken, strict=True):
+            said.append(f"{track.name}: the pause of {steps[k]:.3g} s at t = {t[k]:.6g} s is flown in {s:.2g} s")
+        steps[paused] = taken
+        track = replace(track, t=t[0] + np.concatenate([[0.0], np.cumsum(steps)]))
+    return track, tuple(said)
+
+
+def bridged_gap(track: Track, vehicle_name: str) -> int:
+    """The ``max_gap`` (s, whole) with which a track can be flown: 10 s, or twice its usual step, or what is left of gaps without the pauses."""
+    usual = max(10.0, 2.0 * float(np.median(np.diff(track.t))))
+    connected, _ = without_jumps_and_pauses(track, usual, vehicle(vehicle_name))
+    return int(np.ceil(max(usual, float(np.diff(connected.t).max()))))
 
 
 def check_track(track: Track, max_gap_s: float, car: Vehicle) -> tuple[str, ...]:
@@ -344,7 +405,8 @@ def smooth_track(
     if isinstance(track, GnssRecord | Trajectory):
         track = Track.of(track, getattr(track, "name", "track"))
     kind = vehicle(vehicle_name)
-    warnings = check_track(track, max_gap_s, kind)
+    track, said = without_jumps_and_pauses(track, max_gap_s, kind)
+    warnings = said + check_track(track, max_gap_s, kind)
     t, llh = np.asarray(track.t, dtype=float), np.asarray(track.llh, dtype=float)
     origin = llh[0].copy()
     rm, rn = earth.radii(origin[0])

@@ -23,6 +23,7 @@ from insemu.emulate.motion import Command, legs_of, path_of, profile, steady
 from insemu.emulate.table import read_columns, text_of
 from insemu.emulate.vehicle import STEEPEST_ROAD, Vehicle, odd_places, vehicle
 from insemu.errors import InputError
+from insemu.formats import open_files
 
 Array = NDArray[np.float64]
 
@@ -80,6 +81,10 @@ class Waypoints:
             raise InputError(f"{self.source}: a hover is {np.min(self.hover):.4g} s, expected zero or more")
 
 
+#: Points of a route nearer than this to the one before, m, are left out: a planner draws bends with many, a recorder rests.
+ROUTE_LEG = 5.0
+#: Heights of a route are means over so many metres to either side: those of a receiver scatter by metres, which no road does.
+ROUTE_HEIGHTS = 150.0
 _NAMES = {
     "lat": "lat", "latitude": "lat", "lon": "lon", "lng": "lon", "long": "lon", "longitude": "lon",
     "height": "height", "alt": "height", "altitude": "height", "h": "height", "ele": "height", "elevation": "height",
@@ -97,7 +102,7 @@ def read_waypoints(path: str | Path, speed: float | None = None) -> Waypoints:
     ----------
     path : path
         ``.csv`` with a header such as ``lat, lon, height [m], speed [km/h]``; ``.geojson`` or ``.json`` with a
-        LineString or with Points, speed in their property ``speed`` (m/s).
+        LineString or with Points, speed in their property ``speed`` (m/s); or the route of a planner, ``.gpx`` or ``.kml``.
     speed : float, optional
         Speed of all legs in m/s where the file has none.
 
@@ -107,10 +112,30 @@ def read_waypoints(path: str | Path, speed: float | None = None) -> Waypoints:
         Anything that cannot be read, with file and line.
     """
     path = Path(path)
+    if path.suffix.lower() in (".gpx", ".kml"):
+        return _route_of_a_planner(path, speed)
     text = text_of(path, "waypoint")
     if path.suffix.lower() in (".geojson", ".json"):
         return _geojson(text, str(path), speed)
     return _csv(text, str(path), speed)
+
+
+def _route_of_a_planner(path: Path, speed: float | None) -> Waypoints:
+    """Positions whose times, if they have any, do not count."""
+    if speed is None:
+        raise InputError("a route has no speeds, and no speed is given for all legs", where=str(path))
+    found = open_files(path, maps=("rate=1 Hz", "", ""))
+    if found.gnss is None:
+        raise InputError("holds no positions", where=str(path))
+    llh = found.gnss.llh
+    kept = [0]
+    for k in range(1, len(llh)):
+        if np.hypot(*earth.position_difference(llh[k], llh[kept[-1]])[:2]) >= ROUTE_LEG:
+            kept.append(k)
+    points = llh[kept].copy()
+    way = np.cumsum(np.r_[0.0, np.hypot(*earth.position_difference(points[1:], points[:-1])[:, :2].T)])
+    points[:, 2] = [points[np.abs(way - s) <= ROUTE_HEIGHTS, 2].mean() for s in way]
+    return Waypoints(points, np.full(len(kept), speed), str(path), None, None)
 
 
 def _csv(text: str, source: str, speed: float | None) -> Waypoints:

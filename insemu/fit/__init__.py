@@ -5,14 +5,12 @@ One door, :func:`fit`; every method returns a :class:`FitResult`.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from insemu import CalledRoom
 from insemu.errors import InputError, nearest
 from insemu.fit.covariance import covariance_of_curve, model_covariance
 from insemu.fit.following import Followed, FollowingFit, Segment, fit_following, followed
@@ -235,6 +233,3 @@ def _model(model: NoiseModel | Process | str, unit: str) -> NoiseModel:
     if isinstance(model, str):
         return NoiseModel.parse(model, unit)
     return NoiseModel((model,)) if isinstance(model, Process) else model
-
-
-sys.modules[__name__].__class__ = CalledRoom

@@ -10,7 +10,7 @@ from abc import ABCMeta, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,11 +60,14 @@ def of_structure(structure: Array) -> Array:
     return np.asarray(0.5 * (padded[2:] + padded[:-2] - 2.0 * padded[1:-1]))
 
 
+_P = TypeVar("_P")
+
+
 class _WithTime(ABCMeta):
     """Lets a correlation time ``Tc`` stand for a rate where a process is made, as it does in text."""
 
-    def __call__(cls, *arguments: Any, **given: Any) -> Any:
-        return super().__call__(*arguments, **(cls.with_rate(given) if "Tc" in given else given))  # type: ignore[attr-defined]
+    def __call__(cls: type[_P], *arguments: Any, **given: Any) -> _P:
+        return super().__call__(*arguments, **(cls.with_rate(given) if "Tc" in given else given))  # type: ignore[attr-defined, misc, no-any-return]
 
 
 @dataclass(frozen=True)

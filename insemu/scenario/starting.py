@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from insemu import yamlfile
-from insemu.emulate import load_flight, read_track
+from insemu.emulate import bridged_gap, load_flight, read_track
 from insemu.errors import InputError
 from insemu.noise import WN, NoiseModel
 from insemu.noise import load as load_models
@@ -206,7 +206,7 @@ def _motion(path: Path, wish: Wish) -> tuple[str, float]:
         return "\n".join(lines), 540.0
     relative = os.path.relpath(wish.track, path.parent)
     try:
-        read_track(wish.track)
+        recorded = read_track(wish.track)
     except InputError:
         if not _is_waypoints(wish.track):
             raise
@@ -217,19 +217,20 @@ def _motion(path: Path, wish: Wish) -> tuple[str, float]:
             f"  speed: {SPEED:g} m/s                # of legs whose file gives none",
         ]
         return "\n".join(lines), float(flight.path.end - flight.path.start)
-    flight = load_flight(track=wish.track, vehicle=wish.vehicle).flight
+    gap = bridged_gap(recorded, wish.vehicle)
+    flight = load_flight(track=wish.track, vehicle=wish.vehicle, max_gap_s=gap).flight
     lines = [
         f"  track: {relative}",
         f"  vehicle: {wish.vehicle}                  # how much it may jerk, and how it holds its attitude",
-        "  max_gap: 10 s                # longest gap of the track that is bridged",
+        f"  max_gap: {gap} s                # longest gap that is bridged; a longer one in which it hardly moves is a pause and left out",
     ]
     return "\n".join(lines), float(flight.path.end - flight.path.start)
 
 
 def _is_waypoints(file: str) -> bool:
-    """Whether a file is GeoJSON, or a table without times."""
+    """Whether a file is GeoJSON, a route, or a table without times."""
     path = Path(file)
-    if path.suffix.lower() in (".geojson", ".json"):
+    if path.suffix.lower() in (".geojson", ".json", ".gpx", ".kml"):
         return True
     if path.suffix.lower() != ".csv" or not path.is_file():
         return False

@@ -1,8 +1,5 @@
 """Solve a recording: filter, smoother, calibration, and what a minute without GNSS costs, judged by the fixes themselves."""
 
-import sys
-
-from insemu import CalledRoom
 from insemu.solve.against import Comparison, compare_with
 from insemu.solve.beliefs import CALIBRATION, GRADES, Candidate, candidates
 from insemu.solve.drive import Drive, prepared
@@ -33,5 +30,3 @@ __all__ = [
     "worst_outages",
     "write",
 ]
-
-sys.modules[__name__].__class__ = CalledRoom

@@ -26,7 +26,11 @@ def _table(path: Path, rows: list[tuple[float, float, float, float]], settings: 
     columns = {n: block[:, k] for k, n in enumerate(("time", "lat", "lon", "height"))}
     timed = np.isfinite(block[:, 0]).any()
     if not timed and "rate" not in settings:
-        raise InputError("has positions without times; give their rate (--map 'rate=1 Hz')", where=str(path))
+        raise InputError(
+            "has positions without times: a scenario flies them as waypoints (trajectory: {waypoints: FILE, speed: 10 m/s}); with the map "
+            "'rate=1 Hz' they are one a second",
+            where=str(path),
+        )
     return [
         Table(path.name, columns, {}, parse_map(("time=time[s], " if timed else "") + _LINE), "unix" if timed else "")
     ]
