@@ -335,7 +335,7 @@ def sample_times(stamps: Array, same: NDArray[np.bool_] | None = None) -> Sample
     (104.0, 'the stamps are rounded to 1 ms: samples are put at 104 Hz through all of them, a stamp strays by 0.29 ms')
     """
     rows, said = in_order(stamps, same)
-    t = stamps[rows]
+    t = stamps if np.array_equal(rows, np.arange(stamps.size)) else stamps[rows]
     if t.size < FEW:
         rows = rows[np.unique(t, return_index=True)[1]]
         left_out = t.size - rows.size
@@ -344,7 +344,7 @@ def sample_times(stamps: Array, same: NDArray[np.bool_] | None = None) -> Sample
                 f"only {rows.size} of {t.size} stamps rise; is another column the time (--map 'time=...')?"
             )
         said += (f"{left_out} of {t.size} row(s) share a stamp with another; one of them is used",) * bool(left_out)
-        t = stamps[rows]
+        t = stamps[rows] if left_out else t
     interval, count = _counted(t)
     if count is None or t.size < 3:
         return SampleTimes(rows, t, interval, said=said)
