@@ -276,14 +276,14 @@ def _clock(n: Array, t: Array, interval: float, late: NDArray[np.bool_]) -> tupl
     weight = np.where(late, 1e-9, 1.0)
     every, best, chosen = 2.0 * (n[-1] - n[0]), np.inf, (t, np.inf)
     distinct = 1.0 + np.count_nonzero(np.diff(t) > 0.0)
-    whole = 0.0
+    whole, floor = 0.0, 0.5 * PRECISE * interval
     shortest = max(_SHORTEST, _SHORTEST_S / interval)
     while True:
         line = _line(n, t, every, weight)
         left = (t - line)[~late]
-        limit = 6.0 * 1.4826 * float(np.median(np.abs(left - np.median(left)))) + 1e-12
+        limit = 6.0 * max(1.4826 * float(np.median(np.abs(left - np.median(left)))), floor)
         left = np.clip(left - np.median(left), -limit, limit)
-        square = float(left @ left) + 1e-30
+        square = float(left @ left) + left.size * floor**2  # what is less is no reason for a bend
         rho = float(np.clip(left[1:] @ left[:-1] / square, 0.0, 0.995))
         count = min(left.size * (1.0 - rho) / (1.0 + rho), distinct)
         bends = max(1.0, (n[-1] - n[0]) / every)
