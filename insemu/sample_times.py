@@ -276,14 +276,14 @@ def _clock(n: Array, t: Array, interval: float, late: NDArray[np.bool_]) -> tupl
     weight = np.where(late, 1e-9, 1.0)
     every, best, chosen = 2.0 * (n[-1] - n[0]), np.inf, (t, np.inf)
     distinct = 1.0 + np.count_nonzero(np.diff(t) > 0.0)
-    whole = 0.0
+    whole, floor = 0.0, 0.5 * PRECISE * interval
     shortest = max(_SHORTEST, _SHORTEST_S / interval)
     while True:
         line = _line(n, t, every, weight)
         left = (t - line)[~late]
-        limit = 6.0 * 1.4826 * float(np.median(np.abs(left - np.median(left)))) + 1e-12
+        limit = 6.0 * max(1.4826 * float(np.median(np.abs(left - np.median(left)))), floor)
         left = np.clip(left - np.median(left), -limit, limit)
-        square = float(left @ left) + 1e-30
+        square = float(left @ left) + left.size * floor**2  # what is less is no reason for a bend
         rho = float(np.clip(left[1:] @ left[:-1] / square, 0.0, 0.995))
         count = min(left.size * (1.0 - rho) / (1.0 + rho), distinct)
         bends = max(1.0, (n[-1] - n[0]) / every)
@@ -335,7 +335,7 @@ def sample_times(stamps: Array, same: NDArray[np.bool_] | None = None) -> Sample
     (104.0, 'the stamps are rounded to 1 ms: samples are put at 104 Hz through all of them, a stamp strays by 0.29 ms')
     """
     rows, said = in_order(stamps, same)
-    t = stamps[rows]
+    t = stamps if np.array_equal(rows, np.arange(stamps.size)) else stamps[rows]
     if t.size < FEW:
         rows = rows[np.unique(t, return_index=True)[1]]
         left_out = t.size - rows.size
@@ -344,7 +344,7 @@ def sample_times(stamps: Array, same: NDArray[np.bool_] | None = None) -> Sample
                 f"only {rows.size} of {t.size} stamps rise; is another column the time (--map 'time=...')?"
             )
         said += (f"{left_out} of {t.size} row(s) share a stamp with another; one of them is used",) * bool(left_out)
-        t = stamps[rows]
+        t = stamps[rows] if left_out else t
     interval, count = _counted(t)
     if count is None or t.size < 3:
         return SampleTimes(rows, t, interval, said=said)

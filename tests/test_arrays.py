@@ -14,7 +14,7 @@ from scipy.io import savemat
 from insemu.errors import InputError
 from insemu.formats import open_files, read, read_imu, read_log, read_recording, round_rate
 from insemu.formats.assemble import Columns, clock_of
-from insemu.formats.clocks import GPS_EPOCH, WEEK, converted, leap_seconds, stamp_unit, unwrapped_weeks
+from insemu.formats.clocks import GPS_EPOCH, WEEK, converted, leap_seconds, stamp_unit
 from insemu.formats.npz import keys_of, load_npy, load_npz, numbers, scalar, texts
 from insemu.formats.readers.arrays import tables_of
 from insemu.formats.static import Log
@@ -540,18 +540,6 @@ def test_leap_seconds_begin_where_the_bulletins_say() -> None:
     for (year, month), seconds in days.items():
         first = datetime(year, month, 1, tzinfo=UTC).timestamp()
         assert (leap_seconds(first - 1.0), leap_seconds(first)) == (seconds - 1, seconds)
-
-
-def test_weeks_are_unwrapped() -> None:
-    t = np.array([604_798.0, 604_799.0, 1.0, 2.0, 604_799.5, 0.5])
-    found, ends = unwrapped_weeks(t)
-    assert ends == 2
-    np.testing.assert_array_equal(found, t + WEEK * np.array([0, 0, 1, 1, 1, 2]))
-    back = np.array([302_401.0, 1.0, 302_402.0])  # a step back by less than half a week is none
-    assert (
-        unwrapped_weeks(back)[1] == 0
-        and unwrapped_weeks(back + 1000.0 * (back > 302_400.5) * (back < 302_401.5))[1] == 1
-    )
 
 
 @pytest.mark.parametrize(

@@ -178,7 +178,7 @@ def test_a_bad_static_archive_is_refused_with_its_place(tmp_path: Path, change: 
         ("t,gx\n0,1\n1,2\n2\n", "line 4: has 1 cell(s), expected 2"),
         ("t,gx\n0,1\n1,\n2,3\n", "gyro_x has 1 value(s) that are not finite, the first at row 1"),
         ("t,gx [deg/fortnight]\n0,1\n1,2\n2,3\n", "unknown unit 'fortnight'"),
-        ("t [deg],gx\n0,1\n1,2\n2,3\n", "the time column has the unit 'deg'"),
+        ("t [deg],gx\n0,1\n1,2\n2,3\n", "the times have the unit 'deg'"),
         ("t,gx\n", "no rows of numbers"),
         ("", "is empty"),
         ("gx,gy\n1,2\n3,4\n5,6\n", "says no sampling rate"),

@@ -13,13 +13,7 @@ from numpy.typing import NDArray
 from insemu import earth, rotation
 from insemu.errors import InputError
 from insemu.formats import clocks
-from insemu.formats.columns import (
-    ROLES,
-    UNIT_SETTING,
-    ColumnMap,
-    guessed_line,
-    resolve,
-)
+from insemu.formats.columns import ROLES, UNIT_SETTING, ColumnMap, guessed_line, resolve
 from insemu.formats.table import Table
 from insemu.records import GnssRecord, ImuKind, ImuRecord, Trajectory
 from insemu.sample_times import continuous, in_order, sample_times
@@ -207,32 +201,9 @@ def _times(
     stamps = np.asarray(table.columns[names[at]])
     unit = pick.unit if pick.unit is not None else table.units.get(names[at], "")
     unit = settings.get("time_unit", unit)
-    clock = (
-        clocks.clock_digits(stamps) if not unit and stamps.dtype.kind in "iuf" and np.isfinite(stamps).all() else None
-    )
-    if clock is not None:
-        stamps, unit = clock, "s"
-        story.assumed.append(
-            f"stamps are hours, minutes and seconds: the digits of {names[at]} read so pass every minute evenly"
-        )
-    if stamps.dtype.kind == "M":
-        scale = 1.0
-    elif unit:
-        factor = scaled_unit(unit)
-        if factor.dimension != parse_unit("s").dimension:
-            raise InputError(
-                f"the times have the unit '{unit}', expected s, ms, us or ns", where=f"{table.name}: {names[at]}"
-            )
-        scale = factor.factor
-    else:
-        finite = stamps[np.isfinite(stamps)] if stamps.dtype.kind == "f" else stamps
-        unit, evidence = clocks.stamp_unit(finite, names[at], 5.0 if imu else np.inf)
-        scale = parse_unit(unit).factor
-        if unit != "s":
-            story.assumed.append(f"stamps in {unit}: {evidence}")
-    start, t = counted(stamps, scale)
-    if unit == "day" and t.size:
-        start -= round(clocks.calendar_days(start / SECOND / scale)[1] * scale) * SECOND
+    where, fastest = f"{table.name}: {names[at]}", 5.0 if imu else np.inf
+    start, t, scale, assumed = clocks.read_stamps(stamps, names[at], unit, where, fastest)
+    story.assumed += [assumed] * bool(assumed)
     for role, size in (("nanoseconds", 1e-9), ("week", clocks.WEEK)):
         if role in used.picks:
             ((part, _),) = resolve(role, used.picks[role], names, table.name)
@@ -273,15 +244,13 @@ def _timed(t: Array, values: Array, story: Story, what: str, *, imu: bool = Fals
     same = np.concatenate([[False], (np.diff(values, axis=0) == 0.0).all(axis=1)])
     if not imu:
         rows, said = in_order(t, same)
-        ordered = t[rows]
-        fresh = np.concatenate([[True], ordered[1:] > np.maximum.accumulate(ordered)[:-1]])
-        if np.mean(~fresh) <= MOST_LEFT_OUT:
-            story.repeated += int((~fresh).sum())
-            said += (f"{int((~fresh).sum())} row(s) share a stamp with another; one of them is used",) * bool(
-                (~fresh).any()
-            )
+        fresh = np.concatenate([[True], t[rows[1:]] > np.maximum.accumulate(t[rows])[:-1]])
+        left_out = int((~fresh).sum())
+        if left_out <= MOST_LEFT_OUT * t.size:
+            story.repeated += left_out
+            said += (f"{left_out} row(s) share a stamp with another; one of them is used",) * bool(left_out)
             story.notes += [f"{what}: {text}" for text in said]
-            return rows[fresh], ordered[fresh]
+            return rows[fresh], t[rows[fresh]]
     found = sample_times(t, same)
     story.notes += [f"{what}: {text}" for text in found.said]
     return found.rows, found.t

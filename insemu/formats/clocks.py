@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError
-from insemu.stamps import SECOND, Origin
+from insemu.stamps import SECOND, Origin, counted
+from insemu.units import parse_unit, scaled_unit
 
 Array = NDArray[np.float64]
 
@@ -215,3 +216,49 @@ def stamp_unit(t: NDArray[np.float64] | NDArray[np.int64], name: str = "", faste
         unit, rate = likely[0]
         return unit, f"a step of {step:.6g} is {rate:.6g} Hz in {unit}"
     return "s", f"a step of {step:.6g} s"
+
+
+def read_stamps(
+    stamps: NDArray[Any], name: str, unit: str, where: str, fastest: float = 5.0
+) -> tuple[int, Array, float, str]:
+    """Stamps as they are in a file as seconds: counts of any unit, days of a calendar, digits of a clock, dates.
+
+    Parameters
+    ----------
+    stamps : (n,) array
+        Numbers, or ``datetime64``; NaN where one is missing.
+    name, unit : str
+        Of the column; "" for a unit that nobody states, which the numbers then decide.
+    where : str
+        Place, for the message.
+    fastest : float
+        As of :func:`stamp_unit`.
+
+    Returns
+    -------
+    int, (n,) array, float, str
+        The second of the first stamp in ns, s from it, the unit in s, and what was assumed.
+
+    Raises
+    ------
+    InputError
+        A unit that is none of time.
+    """
+    assumed = ""
+    if stamps.dtype.kind == "M":
+        return *counted(stamps), 1.0, ""
+    finite = stamps[np.isfinite(stamps)] if stamps.dtype.kind == "f" else stamps
+    if not unit:
+        clock = clock_digits(finite) if finite.size == stamps.size else None
+        if clock is not None:
+            said = f"stamps are hours, minutes and seconds: the digits of {name} read so pass every minute evenly"
+            return *counted(clock), 1.0, said
+        unit, evidence = stamp_unit(finite, name, fastest)
+        assumed = f"stamps in {unit}: {evidence}" if unit != "s" else ""
+    factor = scaled_unit(unit)
+    if factor.dimension != parse_unit("s").dimension:
+        raise InputError(f"the times have the unit '{unit}', expected s, ms, us or ns", where=where)
+    start, t = counted(stamps, factor.factor)
+    if unit == "day" and t.size:
+        start -= round(calendar_days(start / SECOND / factor.factor)[1] * factor.factor) * SECOND
+    return start, t, factor.factor, assumed

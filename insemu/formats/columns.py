@@ -394,7 +394,8 @@ _VECTORS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
     "vel_std_ned": _per_axis("vel_std_", "sdv", "sdv_", "sd_v", "std_v", "std_v_", "sigma_v", "sigma_v_", "vel_sigma_", "std_vel_", "sigma_vel_"),
     "rpy": (("roll", "pitch", "heading"), ("roll", "pitch", "yaw")),
 }  # fmt: skip
-_TIME_WORDS = ("time", "timestamp", "t", "stamp", "millis", "micros", "tow", "sow", "timestamps", "seconds", "secs", "sec", "datetime", "utc", "date")  # fmt: skip
+_TIME_WORDS = ("time", "timestamp", "t", "stamp", "millis", "micros", "tow", "sow", "timestamps", "seconds", "secs", "sec", "datetime", "utc",
+               "date")  # fmt: skip
 
 
 def guess_map(names: Sequence[str], columns: Sequence[NDArray[np.float64]] | None = None) -> ColumnMap:

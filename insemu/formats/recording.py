@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -39,6 +40,7 @@ from insemu.records import (
     Recording,
     Trajectory,
 )
+from insemu.sample_times import sample_times
 from insemu.stamps import OWN, Origin
 from insemu.units import parse_unit
 from insemu.whole import replacing, replacing_folder
@@ -105,14 +107,25 @@ def read_recording(path: Path) -> Recording:
     arrays = folder_arrays(path) if path.is_dir() else load_npz(path)
     source = str(path)
     imu = _imu(arrays, source)
+    clock = sample_times(imu.t)
+    imu = imu if clock.t is imu.t else replace(imu, t=clock.t)
     try:
         gnss = _gnss(arrays, source)
         reference = _reference(arrays, source)
         aids = _aids(arrays, source)
     except InputError as error:
         raise error if error.where else InputError(error.message, where=source) from None
-    origin, done = origin_of(arrays, source), _preparation(arrays, source)
-    found = Recording(imu, gnss, reference, source, aids, _initial(arrays, source), origin, done)
+    found = Recording(
+        imu,
+        gnss,
+        reference,
+        source,
+        aids,
+        _initial(arrays, source),
+        origin_of(arrays, source),
+        clock.said,
+        _preparation(arrays, source),
+    )
     return found if "origin_ns" in arrays else found.from_start()
 
 

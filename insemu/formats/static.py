@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError, nearest
-from insemu.formats.clocks import stamp_unit
+from insemu.formats.clocks import read_stamps
 from insemu.formats.columns import split_header, words_of
 from insemu.formats.npz import load_npy, load_npz, numbers, scalar, texts
 from insemu.formats.text import is_text, read_table, write_table
@@ -413,15 +413,10 @@ def _unnamed_time(columns: Sequence[NDArray[Any]]) -> int | None:
 
 def _times(stamps: NDArray[Any], name: str, unit: str, path: Path) -> _Stamps:
     """A time column: ns of time 0, and s from it."""
-    if not unit:
-        unit, evidence = stamp_unit(stamps, name)
-        if unit != "s":
-            _LOGGER.warning("%s: the times are taken as %s (%s)", path, unit, evidence)
-    parsed = parse_unit(unit)
-    if parsed.dimension != parse_unit("s").dimension:
-        raise InputError(f"the time column has the unit '{unit}', expected s, ms or us", where=f"{path}: {name}")
-    start, t = counted(stamps, parsed.factor)
-    return start, continuous(t, parsed.factor)[0]
+    start, t, scale, assumed = read_stamps(stamps, name, unit, f"{path}: {name}")
+    if assumed:
+        _LOGGER.warning("%s: %s", path, assumed)
+    return start, continuous(t, scale)[0]
 
 
 def _is_time(x: Array, *, even: bool = True) -> bool:
