@@ -35,6 +35,9 @@ Mask = NDArray[np.bool_]
 EFFICIENCY = 0.6
 #: Samples from whose neighbours, half before and half behind, the one in the middle is predicted.
 NEAR = 4097
+#: Steps of conjugate gradients for the rejected samples at most, and the root mean square error, in standard deviations of the
+#: residual, at which they end.
+FILLING, CLOSE = 30, 0.01
 #: The longest signal that is drawn for the correction.
 LONGEST = 1 << 17
 #: Amplitudes of outliers, in standard deviations of the residual. Below the first an outlier cannot be told from noise.
@@ -71,9 +74,11 @@ class Outliers:
 
     def note(self, rate_hz: float) -> str:
         """What a reader of the fit is told."""
-        start = int(np.argmax(np.convolve(self.rejected, np.ones(max(self.rejected.size // 20, 1)), "valid")))
         length = max(self.rejected.size // 20, 1)
-        there = float(self.rejected[start : start + length].mean())
+        so_far = np.concatenate([[0], np.cumsum(self.rejected)])
+        counts = so_far[length:] - so_far[:-length]
+        start = int(np.argmax(counts))
+        there = float(counts[start]) / length
         return (
             f"{self.share:.2%} of the samples are outliers, of {self.root_mean_square:.3g} root mean square; {self.rejected.mean():.2%} were "
             f"rejected, most of them ({there:.2%}) from {start / rate_hz:.4g} to {(start + length) / rate_hz:.4g} s"
@@ -151,14 +156,28 @@ class _Prediction:
         padded = np.pad(y, NEAR // 2, mode="reflect" if y.size > NEAR // 2 else "edge")
         return np.asarray(scipy.signal.oaconvolve(padded, self.row, mode="valid"))
 
+    def filled(self, y: Array, out: Mask, begin: Array) -> Array:
+        """The record with the rejected samples at their most likely values: conjugate gradients on its precision, from ``begin``."""
+        whole = np.where(out, begin, y)
+        left = np.where(out, self._of_neighbours(whole) - whole, 0.0)
+        direction, size = left.copy(), float(left @ left)
+        for _ in range(FILLING):
+            if size <= (CLOSE * self.deviation) ** 2 * max(int(out.sum()), 1):
+                break
+            changed = np.where(out, direction - self._of_neighbours(direction), 0.0)
+            step = size / float(direction @ changed)
+            whole += step * direction
+            left -= step * changed
+            before, size = size, float(left @ left)
+            direction = left + size / before * direction
+        return whole
+
     def rejected(self, y: Array, begin: Mask, limit: float) -> tuple[Array, Mask]:
         """Residuals in standard deviations and the samples beyond a limit, predicted without these."""
-        out = begin
-        predicted = np.full(y.size, float(np.median(y)))
+        out, whole = begin, np.where(begin, np.median(y), y)
         for _ in range(3):
-            for _ in range(3):  # neighbours that are rejected are predicted themselves
-                predicted = self._of_neighbours(np.where(out, predicted, y))
-            residual = (y - predicted) / self.deviation
+            whole = self.filled(y, out, whole)
+            residual = (y - self._of_neighbours(whole)) / self.deviation
             before, out = out, np.abs(residual) > limit
             if np.mean(out != before) < 2e-4:
                 break
