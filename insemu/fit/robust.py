@@ -172,8 +172,8 @@ class _Prediction:
             direction = left + size / before * direction
         return whole
 
-    def rejected(self, y: Array, begin: Mask, limit: float) -> tuple[Array, Mask]:
-        """Residuals in standard deviations and the samples beyond a limit, predicted without these."""
+    def cleaned(self, y: Array, begin: Mask, limit: float) -> tuple[Array, Array, Mask]:
+        """Residuals in standard deviations, the record with samples beyond a limit at their most likely values, and which these are."""
         out, whole = begin, np.where(begin, np.median(y), y)
         for _ in range(3):
             whole = self.filled(y, out, whole)
@@ -181,7 +181,7 @@ class _Prediction:
             before, out = out, np.abs(residual) > limit
             if np.mean(out != before) < 2e-4:
                 break
-        return residual, out
+        return residual, self.filled(y, out, whole), out
 
 
 def _amplitudes(residual: Array) -> tuple[Array, float]:
@@ -245,13 +245,13 @@ def cleaned_curve(series: Series, model: NoiseModel, efficiency: float = EFFICIE
     step = y - scipy.ndimage.median_filter(y, 9, mode="nearest")
     deviation = float(np.median(np.abs(step))) / 0.6744897501960817 or float(np.std(step))
     out = np.abs(step) > FAR * deviation
-    curve = _kept(y, out, rate)
+    curve = wavelet_variance(np.where(out, np.nan, y), rate, gaps=True)
     fitted = fit_curve(curve, model).model
     for _ in range(ROUNDS):
         prediction = _Prediction(fitted, dt, float(curve.value[0]))
-        residual, out = prediction.rejected(y, out, limit)
+        residual, whole, out = prediction.cleaned(y, out, limit)
         shares, core = _amplitudes(residual)
-        kept = _kept(y, out, rate)
+        kept = wavelet_variance(whole, rate)
         change = _change(prediction, fitted, shares, core, limit, min(y.size, LONGEST), dt)[: len(kept)]
         scale = kept.scale_samples.astype(float)
         added = change[-1] * scale[change.size - 1] / scale
@@ -269,10 +269,6 @@ def cleaned_curve(series: Series, model: NoiseModel, efficiency: float = EFFICIE
     return CleanedCurve(curve, Outliers(float(seen.sum()), out, size))
 
 
-def _kept(y: Array, out: Mask, rate: float, levels: int | None = None) -> WaveletVariance:
-    return wavelet_variance(np.where(out, np.nan, y), rate, gaps=True, levels=levels)
-
-
 def _change(
     prediction: _Prediction, model: NoiseModel, shares: Array, core: float, limit: float, n: int, dt: float
 ) -> Array:
@@ -282,7 +278,7 @@ def _change(
         rng = np.random.default_rng(k)  # the same numbers each time, so that the rounds converge
         clean = model.simulate(n, dt, rng)
         outliers = _drawn(shares, core, n, rng) * prediction.deviation
-        _, out = prediction.rejected(clean + outliers, outliers != 0.0, limit)
-        kept = _kept(clean + outliers, out, 1.0 / dt, MEASURED)
-        found.append(wavelet_variance(clean, 1.0 / dt, levels=len(kept)).value - kept.value)
+        _, whole, _ = prediction.cleaned(clean + outliers, outliers != 0.0, limit)
+        curves = [wavelet_variance(v, 1.0 / dt).value[:MEASURED] for v in (clean, whole)]
+        found.append(curves[0] - curves[1])
     return np.asarray(np.mean(found, axis=0))
