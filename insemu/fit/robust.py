@@ -35,6 +35,9 @@ Mask = NDArray[np.bool_]
 EFFICIENCY = 0.6
 #: Samples from whose neighbours, half before and half behind, the one in the middle is predicted.
 NEAR = 4097
+#: Steps of conjugate gradients for the rejected samples at most, and the root mean square error, in standard deviations of the
+#: residual, at which they end.
+FILLING, CLOSE = 30, 0.01
 #: The longest signal that is drawn for the correction.
 LONGEST = 1 << 17
 #: Amplitudes of outliers, in standard deviations of the residual. Below the first an outlier cannot be told from noise.
@@ -71,9 +74,11 @@ class Outliers:
 
     def note(self, rate_hz: float) -> str:
         """What a reader of the fit is told."""
-        start = int(np.argmax(np.convolve(self.rejected, np.ones(max(self.rejected.size // 20, 1)), "valid")))
         length = max(self.rejected.size // 20, 1)
-        there = float(self.rejected[start : start + length].mean())
+        so_far = np.concatenate([[0], np.cumsum(self.rejected)])
+        counts = so_far[length:] - so_far[:-length]
+        start = int(np.argmax(counts))
+        there = float(counts[start]) / length
         return (
             f"{self.share:.2%} of the samples are outliers, of {self.root_mean_square:.3g} root mean square; {self.rejected.mean():.2%} were "
             f"rejected, most of them ({there:.2%}) from {start / rate_hz:.4g} to {(start + length) / rate_hz:.4g} s"
@@ -151,18 +156,32 @@ class _Prediction:
         padded = np.pad(y, NEAR // 2, mode="reflect" if y.size > NEAR // 2 else "edge")
         return np.asarray(scipy.signal.oaconvolve(padded, self.row, mode="valid"))
 
-    def rejected(self, y: Array, begin: Mask, limit: float) -> tuple[Array, Mask]:
-        """Residuals in standard deviations and the samples beyond a limit, predicted without these."""
-        out = begin
-        predicted = np.full(y.size, float(np.median(y)))
+    def filled(self, y: Array, out: Mask, begin: Array) -> Array:
+        """The record with the rejected samples at their most likely values: conjugate gradients on its precision, from ``begin``."""
+        whole = np.where(out, begin, y)
+        left = np.where(out, self._of_neighbours(whole) - whole, 0.0)
+        direction, size = left.copy(), float(left @ left)
+        for _ in range(FILLING):
+            if size <= (CLOSE * self.deviation) ** 2 * max(int(out.sum()), 1):
+                break
+            changed = np.where(out, direction - self._of_neighbours(direction), 0.0)
+            step = size / float(direction @ changed)
+            whole += step * direction
+            left -= step * changed
+            before, size = size, float(left @ left)
+            direction = left + size / before * direction
+        return whole
+
+    def cleaned(self, y: Array, begin: Mask, limit: float) -> tuple[Array, Array, Mask]:
+        """Residuals in standard deviations, the record with samples beyond a limit at their most likely values, and which these are."""
+        out, whole = begin, np.where(begin, np.median(y), y)
         for _ in range(3):
-            for _ in range(3):  # neighbours that are rejected are predicted themselves
-                predicted = self._of_neighbours(np.where(out, predicted, y))
-            residual = (y - predicted) / self.deviation
+            whole = self.filled(y, out, whole)
+            residual = (y - self._of_neighbours(whole)) / self.deviation
             before, out = out, np.abs(residual) > limit
             if np.mean(out != before) < 2e-4:
                 break
-        return residual, out
+        return residual, self.filled(y, out, whole), out
 
 
 def _amplitudes(residual: Array) -> tuple[Array, float]:
@@ -226,13 +245,13 @@ def cleaned_curve(series: Series, model: NoiseModel, efficiency: float = EFFICIE
     step = y - scipy.ndimage.median_filter(y, 9, mode="nearest")
     deviation = float(np.median(np.abs(step))) / 0.6744897501960817 or float(np.std(step))
     out = np.abs(step) > FAR * deviation
-    curve = _kept(y, out, rate)
+    curve = wavelet_variance(np.where(out, np.nan, y), rate, gaps=True)
     fitted = fit_curve(curve, model).model
     for _ in range(ROUNDS):
         prediction = _Prediction(fitted, dt, float(curve.value[0]))
-        residual, out = prediction.rejected(y, out, limit)
+        residual, whole, out = prediction.cleaned(y, out, limit)
         shares, core = _amplitudes(residual)
-        kept = _kept(y, out, rate)
+        kept = wavelet_variance(whole, rate)
         change = _change(prediction, fitted, shares, core, limit, min(y.size, LONGEST), dt)[: len(kept)]
         scale = kept.scale_samples.astype(float)
         added = change[-1] * scale[change.size - 1] / scale
@@ -250,10 +269,6 @@ def cleaned_curve(series: Series, model: NoiseModel, efficiency: float = EFFICIE
     return CleanedCurve(curve, Outliers(float(seen.sum()), out, size))
 
 
-def _kept(y: Array, out: Mask, rate: float, levels: int | None = None) -> WaveletVariance:
-    return wavelet_variance(np.where(out, np.nan, y), rate, gaps=True, levels=levels)
-
-
 def _change(
     prediction: _Prediction, model: NoiseModel, shares: Array, core: float, limit: float, n: int, dt: float
 ) -> Array:
@@ -263,7 +278,7 @@ def _change(
         rng = np.random.default_rng(k)  # the same numbers each time, so that the rounds converge
         clean = model.simulate(n, dt, rng)
         outliers = _drawn(shares, core, n, rng) * prediction.deviation
-        _, out = prediction.rejected(clean + outliers, outliers != 0.0, limit)
-        kept = _kept(clean + outliers, out, 1.0 / dt, MEASURED)
-        found.append(wavelet_variance(clean, 1.0 / dt, levels=len(kept)).value - kept.value)
+        _, whole, _ = prediction.cleaned(clean + outliers, outliers != 0.0, limit)
+        curves = [wavelet_variance(v, 1.0 / dt).value[:MEASURED] for v in (clean, whole)]
+        found.append(curves[0] - curves[1])
     return np.asarray(np.mean(found, axis=0))
