@@ -18,6 +18,7 @@ from insemu.emulate import (
     AreaOutage,
     ErrorPieces,
     IdealImu,
+    Moving,
     Outage,
     RecordedErrors,
     Source,
@@ -28,6 +29,7 @@ from insemu.emulate import (
     ideal_imu,
     load_flight,
     random_outages,
+    read_vehicle,
     recorded_pieces,
     simulated_pieces,
     state_at,
@@ -92,7 +94,8 @@ class EmulatedWorld:
             raise InputError("there is nothing to emulate: the scenario has a recording", where=str(file or "scenario"))
         self.source, self.truth = scenario.trajectory, scenario.truth
         source = self.source
-        inputs = [self.files[name] for name in (source.waypoints, source.track, source.motion) if name]
+        own = source.moving.file if source.moving else None
+        inputs = [self.files[name] for name in (source.waypoints, source.track, source.motion, own) if name]
         #: Says everything that the reference and the ideal signals depend on.
         self.key = key_of(source.model_dump(mode="json"), inputs)
         self._fly()
@@ -116,13 +119,14 @@ class EmulatedWorld:
 
     def _loaded(self) -> Source:
         """The motion."""
-        source = self.source
+        source, own = self.source, self.source.vehicle
+        vehicle = own if isinstance(own, str) else Moving(read_vehicle(self.files[own.file]), own.seed, own.mount)
         return load_flight(
             builtin=source.builtin,
             waypoints=self.files[source.waypoints] if source.waypoints else None,
             track=self.files[source.track] if source.track else None,
             motion=self.files[source.motion] if source.motion else None,
-            vehicle=source.vehicle,
+            vehicle=vehicle,
             speed=source.speed,
             max_gap_s=source.max_gap,
             duration_s=source.duration,

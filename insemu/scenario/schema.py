@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from insemu.effects import AID_KINDS
-from insemu.emulate import TRAJECTORIES, AreaOutage, Mounting, Outage, TemperatureProfile
+from insemu.emulate import TRAJECTORIES, AreaOutage, Mount, Mounting, Outage, TemperatureProfile
 from insemu.errors import InputError, nearest, shown
 from insemu.filters import InitialSigma
 from insemu.noise import NoiseModel
@@ -56,6 +56,25 @@ class MountingKeys(Section):
     rpy: Angles = Field(default=(0.0, 0.0, 0.0), description="roll, pitch, yaw of the IMU with respect to the vehicle")
 
 
+#: Vehicles without a motion of their own (:data:`insemu.emulate.VEHICLES`).
+VehicleName = Literal["car", "multirotor", "helicopter", "fixed_wing"]
+
+
+class MountKeys(Section):
+    """A mount that lets the IMU move in the vehicle."""
+
+    frequency: Hertz = Field(gt=0, description="of its resonance")
+    damping: float = Field(default=0.1, gt=0, le=2, description="share of the critical damping")
+
+
+class VehicleKeys(Section):
+    """A vehicle that shakes, pitches and slips about its path, as its file says (docs/vehicles.md)."""
+
+    file: str = Field(description="the vehicle: YAML that insemu vehicle learns from a recording, or written by hand")
+    seed: int = Field(default=0, ge=0, description="the same seed is the same motion, in every realization")
+    mount: Annotated[Mount, Made(MountKeys)] | None = Field(default=None, description="resonance of the IMU's mount")
+
+
 class TemperatureKeys(Section):
     """Temperature of the IMU against time, linear between points."""
 
@@ -90,8 +109,8 @@ class TrajectorySource(Section):
     waypoints: str | None = Field(default=None, description="waypoint file (CSV or GeoJSON)")
     track: str | None = Field(default=None, description="recorded track: any file that insemu open reads, or a CSV")
     motion: str | None = Field(default=None, description="motion command file (CSV)")
-    vehicle: Literal["car", "multirotor", "helicopter", "fixed_wing"] = Field(
-        default="car", description="limits and attitude for waypoints and tracks"
+    vehicle: VehicleName | VehicleKeys = Field(
+        default="car", description="limits and attitude for waypoints and tracks; with a file also how the body moves"
     )
     speed: Speed | None = Field(default=None, gt=0, description="speed of waypoint legs whose file gives none")
     max_gap: Seconds = Field(default=10.0, gt=0, description="longest gap of a track that is bridged")
@@ -125,6 +144,11 @@ class TrajectorySource(Section):
         if value is not None and value not in TRAJECTORIES:
             raise InputError(f"unknown trajectory '{value}'" + nearest(value, TRAJECTORIES))
         return value
+
+    @property
+    def moving(self) -> VehicleKeys | None:
+        """The vehicle, where it moves about its path."""
+        return self.vehicle if isinstance(self.vehicle, VehicleKeys) else None
 
     @model_validator(mode="after")
     def _one_source(self) -> TrajectorySource:
