@@ -28,6 +28,7 @@ from insemu.emulate import (
     gnss_fixes,
     ideal_imu,
     load_flight,
+    preset_file,
     random_outages,
     read_vehicle,
     recorded_pieces,
@@ -43,7 +44,7 @@ from insemu.filters import AidUse, InitialSigma, NavigationFilter, Standstill, T
 from insemu.lost import restored
 from insemu.noise import NoiseModel, Spread, load_spread
 from insemu.records import AXES, AidRecord, GnssRecord, ImuRecord, Recording, Trajectory
-from insemu.scenario import Scenario
+from insemu.scenario import Scenario, VehicleKeys
 from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
@@ -94,8 +95,8 @@ class EmulatedWorld:
             raise InputError("there is nothing to emulate: the scenario has a recording", where=str(file or "scenario"))
         self.source, self.truth = scenario.trajectory, scenario.truth
         source = self.source
-        own = source.moving.file if source.moving else None
-        inputs = [self.files[name] for name in (source.waypoints, source.track, source.motion, own) if name]
+        inputs = [self.files[name] for name in (source.waypoints, source.track, source.motion) if name]
+        inputs += [self._vehicle_file(source.moving)] if source.moving else []
         #: Says everything that the reference and the ideal signals depend on.
         self.key = key_of(source.model_dump(mode="json"), inputs)
         self._fly()
@@ -120,7 +121,7 @@ class EmulatedWorld:
     def _loaded(self) -> Source:
         """The motion."""
         source, own = self.source, self.source.vehicle
-        vehicle = own if isinstance(own, str) else Moving(read_vehicle(self.files[own.file]), own.seed, own.mount)
+        vehicle = own if isinstance(own, str) else self._moving(own)
         return load_flight(
             builtin=source.builtin,
             waypoints=self.files[source.waypoints] if source.waypoints else None,
@@ -131,6 +132,13 @@ class EmulatedWorld:
             max_gap_s=source.max_gap,
             duration_s=source.duration,
         )
+
+    def _vehicle_file(self, keys: VehicleKeys) -> Path:
+        return self.files[keys.file] if keys.file else preset_file(keys.preset or "")
+
+    def _moving(self, keys: VehicleKeys) -> Moving:
+        """The vehicle that moves about its path."""
+        return Moving(read_vehicle(self._vehicle_file(keys), keys.conditions), keys.seed, keys.mount)
 
     def _flown(self) -> Flown:
         """The motion and its ideal signals."""

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from insemu.effects import AID_KINDS
-from insemu.emulate import TRAJECTORIES, AreaOutage, Mount, Mounting, Outage, TemperatureProfile
+from insemu.emulate import TRAJECTORIES, AreaOutage, Mount, Mounting, Outage, TemperatureProfile, preset_file
 from insemu.errors import InputError, nearest, shown
 from insemu.filters import InitialSigma
 from insemu.noise import NoiseModel
@@ -57,7 +57,9 @@ class MountingKeys(Section):
 
 
 #: Vehicles without a motion of their own (:data:`insemu.emulate.VEHICLES`).
-VehicleName = Literal["car", "multirotor", "helicopter", "fixed_wing"]
+VehicleName = Literal[
+    "car", "multirotor", "helicopter", "fixed_wing", "truck", "tractor", "train", "boat", "walker", "hand"
+]
 
 
 class MountKeys(Section):
@@ -70,9 +72,32 @@ class MountKeys(Section):
 class VehicleKeys(Section):
     """A vehicle that shakes, pitches and slips about its path, as its file says (docs/vehicles.md)."""
 
-    file: str = Field(description="the vehicle: YAML that insemu vehicle learns from a recording, or written by hand")
+    preset: str | None = Field(default=None, description="a vehicle that comes with the package, for example car")
+    file: str | None = Field(default=None, description="a vehicle's file, learned from a recording or written by hand")
+    roughness: Literal["A", "B", "C", "D", "E", "F", "G", "H", "low", "high"] | None = Field(
+        default=None, description="of a preset's road (ISO 8608) or rail (ERRI B176)"
+    )
+    wind: Speed | None = Field(
+        default=None, ge=0, le=40, description="of a preset that flies: mean wind 6 m above the ground"
+    )
+    waves: tuple[Length, Seconds] | None = Field(
+        default=None, description="of a preset that floats: significant height and peak period"
+    )
     seed: int = Field(default=0, ge=0, description="the same seed is the same motion, in every realization")
     mount: Annotated[Mount, Made(MountKeys)] | None = Field(default=None, description="resonance of the IMU's mount")
+
+    @model_validator(mode="after")
+    def _one(self) -> VehicleKeys:
+        if (self.preset is None) == (self.file is None):
+            raise InputError("expected one of the keys 'preset' and 'file'")
+        if self.preset is not None:
+            preset_file(self.preset)
+        return self
+
+    @property
+    def conditions(self) -> dict[str, Any]:
+        """What a preset meets, where it is not what its file says."""
+        return {k: v for k in ("roughness", "wind", "waves") if (v := getattr(self, k)) is not None}
 
 
 class TemperatureKeys(Section):

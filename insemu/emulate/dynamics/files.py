@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insemu import yamlfile
+from insemu.emulate.dynamics.presets import preset_spectrum
+from insemu.emulate.dynamics.reading import Reader
 from insemu.emulate.dynamics.spectrum import Line, MotionSpectrum, Regime
 from insemu.emulate.vehicle import VEHICLES
-from insemu.errors import InputError, nearest, shown
+from insemu.errors import InputError, nearest
 from insemu.records import AXES
-from insemu.yamlfile import Document, Place
+from insemu.yamlfile import Place
 
 Array = NDArray[np.float64]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -46,85 +47,21 @@ class MovingVehicle:
 
 
 #: Keys of every part of a file.
-_TOP = ("vehicle", "kind", "source", "jerk", "frequencies", "regimes", "lines", "unknown")
+_HEAD = ("vehicle", "kind", "source", "jerk")
+_LEARNED, _PRESET = ("frequencies", "regimes", "lines", "unknown"), ("fastest", "parts", "lines")
 _REGIME = ("speed", "turn", "climb", "density", "density_sigma", "coherence", "swing")
 _LINE = ("name", "order", "rate", "per_metre", "amplitude", "phase", "wander")
-_SLOW = ("sigma", "time")
 
 
-class Reader:
-    """Typed values of a document; messages name file, line and key."""
-
-    def __init__(self, document: Document) -> None:
-        self.document = document
-
-    def fail(self, place: Place, message: str) -> InputError:
-        """An error at a place."""
-        return InputError(message, where=self.document.where(place))
-
-    def mapping(self, value: Any, place: Place, keys: Sequence[str] | None = None) -> Mapping[str, Any]:
-        """A mapping, whose keys are known where they are given."""
-        if not isinstance(value, Mapping):
-            raise self.fail(place, f"found {shown(value)}, expected keys with values")
-        for key in value:
-            if keys is not None and key not in keys:
-                raise self.fail((*place, key), f"unknown key '{key}'" + nearest(key, keys))
-        return value
-
-    def items(self, value: Any, place: Place) -> Sequence[Any]:
-        """A list."""
-        if not isinstance(value, list):
-            raise self.fail(place, f"found {shown(value)}, expected a list")
-        return value
-
-    def number(self, value: Any, place: Place) -> float:
-        """A number."""
-        if isinstance(value, bool) or not isinstance(value, int | float) or np.isnan(value):
-            raise self.fail(place, f"found {shown(value)}, expected a number")
-        return float(value)
-
-    def text(self, value: Any, place: Place) -> str:
-        """A text."""
-        if not isinstance(value, str):
-            raise self.fail(place, f"found {shown(value)}, expected text")
-        return value
-
-    def numbers(self, value: Any, place: Place, count: int | None = None) -> tuple[float, ...]:
-        """A list of numbers."""
-        if not isinstance(value, list) or (count is not None and len(value) != count):
-            raise self.fail(
-                place, f"found {shown(value)}, expected {'' if count is None else f'{count} '}numbers in brackets"
-            )
-        return tuple(self.number(x, (*place, k)) for k, x in enumerate(value))
-
-    def rows(self, value: Any, place: Place, shape: tuple[int, int]) -> Array:
-        """A table of numbers."""
-        if not isinstance(value, list) or len(value) != shape[0]:
-            raise self.fail(place, f"expected {shape[0]} rows of {shape[1]} numbers, one row a frequency")
-        return np.array([self.numbers(x, (*place, k), shape[1]) for k, x in enumerate(value)])
-
-    def pair(self, value: Any, place: Place) -> tuple[float, float]:
-        """A range."""
-        low, high = self.numbers(value, place, 2)
-        return low, high
-
-    def slow(self, value: Any, place: Place) -> tuple[float, float]:
-        """``{sigma, time}`` of a slow process."""
-        got = self.mapping(value, place, _SLOW)
-        if set(got) != set(_SLOW):
-            raise self.fail(place, "expected the keys 'sigma' and 'time'")
-        return self.number(got["sigma"], (*place, "sigma")), self.number(got["time"], (*place, "time"))
-
-    def made(self, place: Place, make: Callable[[], T]) -> T:
-        """What ``make`` gives; its complaint is that of the place."""
-        try:
-            return make()
-        except InputError as error:
-            raise self.fail(place, error.message) from None
-
-
-def read_vehicle(path: str | Path) -> MovingVehicle:
+def read_vehicle(path: str | Path, conditions: Mapping[str, Any] | None = None) -> MovingVehicle:
     """Read a vehicle's file.
+
+    Parameters
+    ----------
+    path : path
+        Of a file, for example of a preset (:func:`~insemu.emulate.dynamics.presets.preset_file`).
+    conditions : mapping, optional
+        Values of a preset's parts that differ from its file: ``roughness``, ``wind``, ``waves``.
 
     Raises
     ------
@@ -133,21 +70,41 @@ def read_vehicle(path: str | Path) -> MovingVehicle:
     """
     document = yamlfile.read(path)
     reader = Reader(document)
-    top = reader.mapping(document.data, (), _TOP)
-    for key in ("vehicle", "kind", "frequencies", "regimes"):
+    top = reader.mapping(document.data, ())
+    short = "parts" in top
+    reader.mapping(top, (), (*_HEAD, *(_PRESET if short else _LEARNED)))
+    for key in ("vehicle", "kind", *(("parts", "fastest") if short else ("frequencies", "regimes"))):
         if key not in top:
             raise reader.fail((), f"the key '{key}' is missing")
     kind = reader.text(top["kind"], ("kind",))
     if kind not in VEHICLES:
         raise reader.fail(("kind",), f"unknown vehicle '{kind}'" + nearest(kind, VEHICLES))
     jerk = reader.number(top["jerk"], ("jerk",)) if top.get("jerk") is not None else None
+    if short:
+        parts = _under(conditions or {}, top["parts"], str(path))
+        fastest = reader.number(top["fastest"], ("fastest",))
+        spectrum = preset_spectrum(reader, parts, top.get("lines", []), fastest)
+    elif conditions:
+        raise InputError("has spectra that do not follow road, wind or waves; expected no conditions", where=str(path))
+    else:
+        spectrum = _spectrum(reader, top)
     return MovingVehicle(
         reader.text(top["vehicle"], ("vehicle",)),
         kind,
-        _spectrum(reader, top),
+        spectrum,
         reader.text(top.get("source", ""), ("source",)),
         jerk,
     )
+
+
+def _under(conditions: Mapping[str, Any], parts: Any, name: str) -> Any:
+    """Parts with the values that conditions give."""
+    for key in conditions:
+        if not isinstance(parts, list) or not any(isinstance(part, dict) and key in part for part in parts):
+            raise InputError(f"no part of the vehicle has the condition '{key}'", where=name)
+    return [
+        part | {k: v for k, v in conditions.items() if k in part} if isinstance(part, dict) else part for part in parts
+    ]
 
 
 def _spectrum(reader: Reader, top: Mapping[str, Any]) -> MotionSpectrum:

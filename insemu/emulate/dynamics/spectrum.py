@@ -189,6 +189,23 @@ class MotionSpectrum:
         """Highest frequency of spectra and of lines with a stated rate, Hz."""
         return max(float(self.frequencies[-1]), *(x.order * x.rate for x in self.lines if x.rate is not None), 0.0)
 
+    def rms(self, regime: int, low: float, high: float) -> Array:
+        """Root mean square (6,) of a regime between two frequencies in Hz, lines with a stated rate among it."""
+        f = np.linspace(max(low, self.frequencies[0]), min(high, self.frequencies[-1]), 400)
+        factor = self.factors(regime, f)
+        power = np.trapezoid((np.abs(factor) ** 2).sum(axis=2), f, axis=0)
+        r = self.regimes[regime]
+        middle = (
+            min(max(r.speed[0], 0.5 * sum(r.speed)), 1.1 * r.speed[0] + 1e-9)
+            if np.isinf(r.speed[1])
+            else 0.5 * sum(r.speed)
+        )
+        for line in self.lines:
+            at = line.order * (line.rate if line.rate is not None else (line.per_metre or 0.0) * middle)
+            if low <= at < high:
+                power = power + 0.5 * np.square(line.amplitude.get(r.name, line.amplitude.get("*", (0.0,) * 6)))
+        return np.asarray(np.sqrt(power))
+
     def factors(self, regime: int, f: Array) -> Complex:
         """Factors (k, 6, 6) at frequencies (k,) with ``factor factor^H`` the cross density; zero outside of the table."""
         r, table = self.regimes[regime], self.frequencies
