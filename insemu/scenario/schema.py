@@ -78,8 +78,14 @@ class VehicleKeys(Section):
         default=None, description="of a preset's road (ISO 8608) or rail (ERRI B176)"
     )
     wind: Speed | None = Field(
-        default=None, ge=0, le=40, description="of a preset that flies: mean wind 6 m above the ground"
+        default=None, ge=0, le=40, description="mean wind 6 m above the ground, where it flies or floats"
     )
+    wind_from: Radians | None = Field(default=None, description="where the wind comes from, from north; north")
+    current: tuple[Speed, Radians] | None = Field(default=None, description="of the water: speed, and where it goes to")
+    nose: Literal["course", "target", "wandering", "turning"] | None = Field(
+        default=None, description="where a multirotor or helicopter looks; course"
+    )
+    target: tuple[Radians, Radians] | None = Field(default=None, description="latitude and longitude for nose: target")
     waves: tuple[Length, Seconds] | None = Field(
         default=None, description="of a preset that floats: significant height and peak period"
     )
@@ -92,12 +98,15 @@ class VehicleKeys(Section):
             raise InputError("expected one of the keys 'preset' and 'file'")
         if self.preset is not None:
             preset_file(self.preset)
+        if (self.nose == "target") != (self.target is not None):
+            raise InputError("expected the key 'target' beside 'nose: target', and nowhere else")
         return self
 
     @property
     def conditions(self) -> dict[str, Any]:
         """What a preset meets, where it is not what its file says."""
-        return {k: v for k in ("roughness", "wind", "waves") if (v := getattr(self, k)) is not None}
+        keys = ("roughness", "wind", "waves", "wind_from", "current", "nose", "target")
+        return {k: v for k in keys if (v := getattr(self, k)) is not None}
 
 
 class TemperatureKeys(Section):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from insemu import yamlfile
 from insemu.emulate.dynamics.presets import preset_spectrum
 from insemu.emulate.dynamics.reading import Reader
+from insemu.emulate.dynamics.slip import SLIPS, Slip
 from insemu.emulate.dynamics.spectrum import Line, MotionSpectrum, Regime
 from insemu.emulate.vehicle import VEHICLES
 from insemu.errors import InputError, nearest
@@ -37,6 +38,8 @@ class MovingVehicle:
         Where the numbers come from.
     jerk : float, optional
         Density with which recorded tracks are smoothed, m/s^3 per sqrt(Hz).
+    slip : Slip
+        How its nose leaves the course.
     """
 
     name: str
@@ -44,10 +47,12 @@ class MovingVehicle:
     spectrum: MotionSpectrum
     source: str = ""
     jerk: float | None = None
+    slip: Slip = field(default_factory=Slip)
 
 
 #: Keys of every part of a file.
-_HEAD = ("vehicle", "kind", "source", "jerk")
+_HEAD = ("vehicle", "kind", "source", "jerk", "slip")
+_SLIP = ("sigma", "time", "axle", "compliance", "leeway")
 _LEARNED, _PRESET = ("frequencies", "regimes", "lines", "unknown"), ("fastest", "parts", "lines")
 _REGIME = ("speed", "turn", "climb", "density", "density_sigma", "coherence", "swing")
 _LINE = ("name", "order", "rate", "per_metre", "amplitude", "phase", "wander")
@@ -61,7 +66,7 @@ def read_vehicle(path: str | Path, conditions: Mapping[str, Any] | None = None) 
     path : path
         Of a file, for example of a preset (:func:`~insemu.emulate.dynamics.presets.preset_file`).
     conditions : mapping, optional
-        Values of a preset's parts that differ from its file: ``roughness``, ``wind``, ``waves``.
+        What differs from its file: ``roughness``, ``wind``, ``waves`` of a preset's parts, and fields of :class:`Slip`.
 
     Raises
     ------
@@ -84,9 +89,10 @@ def read_vehicle(path: str | Path, conditions: Mapping[str, Any] | None = None) 
         parts = _under(conditions or {}, top["parts"], str(path))
         fastest = reader.number(top["fastest"], ("fastest",))
         spectrum = preset_spectrum(reader, parts, top.get("lines", []), fastest)
-    elif conditions:
-        raise InputError("has spectra that do not follow road, wind or waves; expected no conditions", where=str(path))
     else:
+        fixed = {"roughness", "waves"} & set(conditions or {})
+        if fixed:
+            raise InputError(f"its spectra do not follow the condition '{min(fixed)}'", where=str(path))
         spectrum = _spectrum(reader, top)
     return MovingVehicle(
         reader.text(top["vehicle"], ("vehicle",)),
@@ -94,12 +100,23 @@ def read_vehicle(path: str | Path, conditions: Mapping[str, Any] | None = None) 
         spectrum,
         reader.text(top.get("source", ""), ("source",)),
         jerk,
+        _slip(reader, top, kind, conditions or {}),
     )
+
+
+def _slip(reader: Reader, top: Mapping[str, Any], kind: str, conditions: Mapping[str, Any]) -> Slip:
+    """The slip of the kind with what the file says of it; what a preset's parts say of wind and drag."""
+    got = reader.mapping(top.get("slip", {}), ("slip",), _SLIP)
+    values: dict[str, Any] = {key: reader.number(x, ("slip", key)) for key, x in got.items()}
+    for part in top.get("parts", []):
+        values |= {key: float(part[key]) for key in ("wind", "drag") if key in part}
+    values |= {key: x for key, x in conditions.items() if key in Slip.__dataclass_fields__}
+    return reader.made(("slip",), lambda: replace(SLIPS[kind], **values))
 
 
 def _under(conditions: Mapping[str, Any], parts: Any, name: str) -> Any:
     """Parts with the values that conditions give."""
-    for key in conditions:
+    for key in set(conditions) - (set(Slip.__dataclass_fields__) - {"wind"}):
         if not isinstance(parts, list) or not any(isinstance(part, dict) and key in part for part in parts):
             raise InputError(f"no part of the vehicle has the condition '{key}'", where=name)
     return [
@@ -169,6 +186,8 @@ def vehicle_text(vehicle: MovingVehicle) -> str:
     out = [f"vehicle: {json.dumps(vehicle.name)}", f"kind: {vehicle.kind}"]
     out += [f"source: {json.dumps(vehicle.source)}"] if vehicle.source else []
     out += [] if vehicle.jerk is None else [f"jerk: {_digits(vehicle.jerk)}  # m/s^3 per sqrt(Hz)"]
+    slip = {k: v for k in _SLIP if (v := getattr(vehicle.slip, k)) != getattr(SLIPS[vehicle.kind], k)}
+    out += [f"slip: {{{', '.join(f'{k}: {_digits(v)}' for k, v in slip.items())}}}  # rad, s, m"] if slip else []
     out += [f"frequencies: {_row(s.frequencies)}  # Hz", "regimes:"]
     for r in s.regimes:
         out.append(f"  {json.dumps(r.name)}:")

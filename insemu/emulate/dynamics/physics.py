@@ -227,7 +227,7 @@ def hull(f: Array, v: float, p: Mapping[str, Any]) -> list[Term]:
     v : float
         m/s.
     p : mapping
-        ``waves`` [significant height m, peak period s]; ``length`` m; ``heave`` and ``roll`` [Hz, damping].
+        ``waves`` [significant height m, peak period s]; ``length`` m; ``heave`` and ``roll`` [Hz, damping]; ``wind`` m/s, which only drifts it.
     """
     height, period = p["waves"]
     along = v * np.sqrt(0.5) / G
@@ -323,6 +323,6 @@ PARTS: Mapping[str, tuple[Callable[[Array, float, Mapping[str, Any]], list[Term]
         rotorcraft,
         {"wind": 1, "height": 1, "span": 1, "drag": 1, "heave": 1, "hold": 2, "attitude": 2, "moment": 1, "yaw": 1},
     ),
-    "hull": (hull, {"waves": 2, "length": 1, "heave": 2, "roll": 2}),
+    "hull": (hull, {"waves": 2, "length": 1, "heave": 2, "roll": 2, "wind": 1}),
     "mode": (mode, {"at": 2, "accel": 3, "gyro": 3, "standing": 1}),
 }

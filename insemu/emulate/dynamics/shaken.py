@@ -17,9 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.compiled import njit
 from insemu.emulate.dynamics.files import MovingVehicle
+from insemu.emulate.dynamics.slip import SlipMotion
 from insemu.emulate.dynamics.slow import SlowProcess
 from insemu.emulate.dynamics.spectrum import Line, MotionSpectrum, weights
+from insemu.emulate.hover import plane_of
 from insemu.emulate.path import Curve, SmoothPath
+from insemu.emulate.vehicle import vehicle as vehicle_of
 from insemu.errors import InputError
 from insemu.units import STANDARD_GRAVITY
 
@@ -36,7 +39,7 @@ _NO_SHARE = 1e-6
 _KEPT = 128
 #: Page of the knots just before the start of a path.
 FIRST_PAGE = -1
-_STREAMS = {"block": 0, "swing": 1, "wander": 2, "phase": 3}
+_STREAMS = {"block": 0, "swing": 1, "wander": 2, "phase": 3, "slip": 4}
 
 
 @dataclass(frozen=True)
@@ -78,10 +81,19 @@ class BodyMotion:
     seed : int
         The same seed is the same motion.
     mount : Mount, optional
+    slip : SlipMotion, optional
+        How the nose leaves the course.
     """
 
-    def __init__(self, path: SmoothPath, spectrum: MotionSpectrum, seed: int = 0, mount: Mount | None = None) -> None:
-        self.path, self.spectrum, self.seed, self.mount = path, spectrum, seed, mount
+    def __init__(
+        self,
+        path: SmoothPath,
+        spectrum: MotionSpectrum,
+        seed: int = 0,
+        mount: Mount | None = None,
+        slip: SlipMotion | None = None,
+    ) -> None:
+        self.path, self.spectrum, self.seed, self.mount, self.slip = path, spectrum, seed, mount, slip
         self.rate = KNOTS_PER_PERIOD * spectrum.highest
         hop = max(SHORTEST_HOP, PERIODS / float(spectrum.frequencies[0]))
         self.hop = 1 << int(np.ceil(np.log2(hop * self.rate)))
@@ -89,6 +101,7 @@ class BodyMotion:
         self._pages: OrderedDict[int, Array] = OrderedDict()
         self._blocks: OrderedDict[int, dict[int, Array]] = OrderedDict()
         self._periods: dict[int, Array] = {}
+        self._noses: Array | None = None
         self._swings = [
             SlowProcess(r.swing_sigma, r.swing_time, (seed, _STREAMS["swing"], k))
             for k, r in enumerate(spectrum.regimes)
@@ -179,12 +192,42 @@ class BodyMotion:
             body += level[:, None] * (self._block(number - 1, k)[self.hop :] + self._block(number, k)[: self.hop])
         for k, line in enumerate(self.spectrum.lines):
             body += self._line(line, k, number, t, speed, shares)
+        slipped = self._slipped(number, t, inside, velocity, rpy, turn)
         out = np.empty_like(body)
-        _into_map(rpy, body, out)
+        _into_map(rpy + slipped, body, out)
+        out[:, 3:] += slipped
         self._pages[number] = out
         while len(self._pages) > _KEPT:
             self._pages.popitem(last=False)
         return out
+
+    def _slipped(self, number: int, t: Array, inside: Array, velocity: Array, rpy: Array, turn: Array) -> Array:
+        """Changes of roll, pitch and heading (hop, 3) at the knots of a page."""
+        if self.slip is None:
+            return np.zeros((t.size, 3))
+        if self.slip.slip.nose == "course":
+            last = 0.0
+        else:
+            last = self._nose()[number - FIRST_PAGE]
+        return self.slip.turned(t, self.path.position(inside), velocity, rpy, turn, last)[0]
+
+    def _nose(self) -> Array:
+        """Where a free nose points just before every page (rad, counted through whole turns)."""
+        if self._noses is None:
+            last, found = 0.0, [0.0]
+            assert self.slip is not None
+            for number in range(FIRST_PAGE, self._last_page + 1):
+                t = self._times(number)[:: max(1, int(self.rate / 20.0))]
+                inside = np.clip(t, self.path.start, self.path.end)
+                rpy, velocity = self.path.attitude(inside), self.path.position(inside, 1)
+                last = self.slip.turned(t, self.path.position(inside), velocity, rpy, np.zeros(t.size), last)[1]
+                found.append(last)
+            self._noses = np.array(found)
+        return self._noses
+
+    @property
+    def _last_page(self) -> int:
+        return int((self.path.end - self.start) * self.rate) // self.hop + 1
 
     def _line(self, line: Line, k: int, number: int, t: Array, speed: Array, shares: Array) -> Array:
         off = self._wanders[k](t)
@@ -211,7 +254,7 @@ class BodyMotion:
         """Periods (pages,) of a line that follows the way, at the first knot of every page."""
         if k not in self._periods:
             line, made = self.spectrum.lines[k], []
-            for number in range(FIRST_PAGE, int((self.path.end - self.start) * self.rate) // self.hop + 2):
+            for number in range(FIRST_PAGE, self._last_page + 1):
                 t = self._times(number)
                 velocity = self.path.position(np.clip(t, self.path.start, self.path.end), 1)
                 speed = np.hypot(velocity[:, 0], velocity[:, 1])
@@ -323,10 +366,21 @@ class Moving:
 
     def on(self, path: SmoothPath) -> SmoothPath:
         """The path with the body's motion about it."""
-        return shaken(path, self.vehicle.spectrum, self.seed, self.mount)
+        slip, place = self.vehicle.slip, np.zeros(2)
+        if slip.target is not None:
+            place = plane_of(np.array([path.origin, [*slip.target, path.origin[2]]]))[1, :2]
+        kind = vehicle_of(self.vehicle.kind)
+        moved = None if slip.none else SlipMotion(slip, kind, (self.seed, _STREAMS["slip"]), place)
+        return shaken(path, self.vehicle.spectrum, self.seed, self.mount, moved)
 
 
-def shaken(path: SmoothPath, spectrum: MotionSpectrum, seed: int = 0, mount: Mount | None = None) -> SmoothPath:
+def shaken(
+    path: SmoothPath,
+    spectrum: MotionSpectrum,
+    seed: int = 0,
+    mount: Mount | None = None,
+    slip: SlipMotion | None = None,
+) -> SmoothPath:
     """A path on which the body moves as a spectrum says: the truth of reference, antenna and IMU alike.
 
     Parameters
@@ -336,6 +390,7 @@ def shaken(path: SmoothPath, spectrum: MotionSpectrum, seed: int = 0, mount: Mou
     spectrum : MotionSpectrum
     seed : int
     mount : Mount, optional
+    slip : SlipMotion, optional
     """
-    motion = BodyMotion(path, spectrum, seed, mount)
+    motion = BodyMotion(path, spectrum, seed, mount, slip)
     return replace(path, position=_Sum(path.position, motion, 0), attitude=_Sum(path.attitude, motion, 3))
