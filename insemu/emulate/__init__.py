@@ -4,6 +4,7 @@ import sys
 
 from insemu import CalledRoom
 from insemu.emulate.differenced import Differenced, difference
+from insemu.emulate.dynamics import Mount, Moving, MovingVehicle, preset_file, presets, read_vehicle
 from insemu.emulate.errors import RecordedErrors
 from insemu.emulate.flight import Flight, gusts, moving_share, origin_at
 from insemu.emulate.gnss import AreaOutage, Outage, antenna, fixes_at, gnss_fixes, random_outages, state_at
@@ -31,7 +32,10 @@ __all__ = [
     "Flight",
     "Following",
     "IdealImu",
+    "Mount",
     "Mounting",
+    "Moving",
+    "MovingVehicle",
     "Outage",
     "RecordedErrors",
     "SmoothPath",
@@ -58,9 +62,12 @@ __all__ = [
     "navigation_error",
     "origin_at",
     "path_of",
+    "preset_file",
+    "presets",
     "profile",
     "random_outages",
     "read_track",
+    "read_vehicle",
     "read_waypoints",
     "recorded_pieces",
     "route",
