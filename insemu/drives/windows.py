@@ -255,7 +255,17 @@ def spectra(s: Signals, first: NDArray[np.intp], length: int) -> tuple[Array, ND
     return np.fft.rfftfreq(length, s.dt), z
 
 
-def resting_noise(s: Signals, span: tuple[float, float] | None = None) -> Array | None:
+def within(recording: Recording, span: tuple[float, float] | None) -> Recording:
+    """The part of a recording between two times in s, its IMU and fixes; all of it without them."""
+    if span is None:
+        return recording
+    imu, gnss = recording.imu, recording.gnss
+    if gnss is not None:
+        gnss = gnss.rows((gnss.t >= span[0]) & (gnss.t <= span[1]))
+    return replace(recording, imu=imu.rows((imu.t >= span[0]) & (imu.t <= span[1])), gnss=gnss)
+
+
+def resting_noise(s: Signals, span: tuple[float, float] | None = None, *, moving: bool = False) -> Array | None:
     """White density of the sensor (6,) as standstills show it at most; None where it hardly stands.
 
     A rigid body moves all axes, noise of a sensor is its own. So the noise of an axis is at most what the five others do not explain:
@@ -265,6 +275,8 @@ def resting_noise(s: Signals, span: tuple[float, float] | None = None) -> Array 
     ----------
     s : Signals
     span : (start_s, end_s), optional
+    moving : bool
+        All seconds instead, a looser bound.
 
     Notes
     -----
@@ -272,7 +284,8 @@ def resting_noise(s: Signals, span: tuple[float, float] | None = None) -> Array 
     """
     length = round(1.0 / s.dt)
     first = s.pieces(length, length, *(span or ()))
-    first = first[s.motion(s.t[first] + 0.5)[0] < STANDING]
+    if not moving:
+        first = first[s.motion(s.t[first] + 0.5)[0] < STANDING]
     if first.size < LEAST_RESTING:
         return None
     f, z = spectra(s, first, length)

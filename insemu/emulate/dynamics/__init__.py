@@ -3,6 +3,7 @@
 from insemu.emulate.dynamics.files import MovingVehicle, read_vehicle, vehicle_text
 from insemu.emulate.dynamics.presets import preset_file, presets
 from insemu.emulate.dynamics.shaken import BodyMotion, Mount, Moving, shaken
+from insemu.emulate.dynamics.slip import Slip
 from insemu.emulate.dynamics.slow import SlowProcess
 from insemu.emulate.dynamics.spectrum import Line, MotionSpectrum, Regime, weights
 
@@ -14,6 +15,7 @@ __all__ = [
     "Moving",
     "MovingVehicle",
     "Regime",
+    "Slip",
     "SlowProcess",
     "preset_file",
     "presets",
