@@ -19,7 +19,6 @@ from insemu.drives.windows import (
     CLIMBING,
     REGIMES,
     SPEEDS,
-    STANDING,
     TURNING,
     USABLE,
     WINDOW_S,
@@ -46,10 +45,14 @@ LOWEST, CELLS = 0.4, 4
 FEWEST = 7
 #: Least share of a density that is taken for the vehicle's; below it the sensor's noise hides it.
 HIDDEN = 0.02
-#: Time constants of a swing that windows of four seconds tell, s.
-SWINGS = (1.0, 30.0)
-#: Band of the path in which its jerk is looked at, Hz, and length of the pieces, s.
-JERK_HZ, JERK_S = (0.1, 0.4), 20.0
+#: Windows from which on a regime has two and three parts, each with a loudness of its own; steps of the climb to their likeliest sizes.
+PARTS_FROM, ITERATIONS = (14, 30), 60
+#: Time constants of a swing that windows of four seconds tell, s, and the largest swing, nepers: beyond, a few windows are all of the power.
+SWINGS, LARGEST_SWING = (3.0, 30.0), 0.7
+#: Speeds below which a vehicle stands and above which it moves, m/s: ranges have soft edges, and standing is forty decibels quieter.
+ROLLING = (0.2, 1.5)
+#: Jerk densities of paths, m/s^3 per sqrt(Hz), and axes that a level path moves: yaw, along and across.
+JERKS, LEVEL, SHARE = (3.0, 1.5, 0.75, 0.4, 0.2, 0.1, 0.05), [2, 3, 4], 0.5
 
 
 @dataclass(frozen=True)
@@ -111,12 +114,10 @@ def learn_vehicle(
     assert part.gnss is not None
     s = signals_of(part)
     said, unknown = list(s.said), []
-    jerk = jerk_density(s)
-    x_path = path_signals(s, part.gnss, kind, jerk)
     length = round(WINDOW_S / s.dt)
     first = s.pieces(length, length // 2)
     f, z = spectra(s, first, length)
-    z_path = spectra(replace(s, x=x_path), first, length)[1]
+    jerk, z_path = _path(s, part.gnss, kind, first, length)
     noise, words = _noise(s, models, f)
     unknown += words
     if recording.imu.kind != "sample":  # what averages over an interval shows less than there is
@@ -124,6 +125,12 @@ def learn_vehicle(
         z, z_path, noise = z / loss[:, None], z_path / loss[:, None], noise / loss[:, None] ** 2
     regime = regime_of(*s.motion(s.t[first] + 0.5 * WINDOW_S))
     edges = cells(float(f[1]), USABLE * 0.5 / s.dt)
+    inside = [(f >= low - 0.25 * f[1]) & (f < high - 0.25 * f[1]) for low, high in pairwise(edges)]
+    count = np.array([i.sum() for i in inside])
+    Y, Y_path = (
+        np.stack([np.einsum("wfi,wfj->wij", x[:, i], np.conj(x[:, i])) / i.sum() for i in inside], axis=1) for x in (z, z_path)
+    )
+    quiet = np.stack([noise[i].mean(axis=0) for i in inside])
     found: list[Regime] = []
     seconds: dict[str, float] = {}
     for k, word in enumerate(REGIMES):
@@ -134,8 +141,8 @@ def learn_vehicle(
             unknown.append(f"{word}: {0.5 * WINDOW_S * rows.sum():.0f} s are too few, the nearest regime stands for it")
             continue
         seconds[word] = float(0.5 * WINDOW_S * rows.sum())
-        made, hidden = _regime(k, f, edges, z[rows], z_path[rows], noise)
-        found.append(made)
+        made, hidden = _regime(k, edges, Y[rows], Y_path[rows], quiet, count)
+        found += made
         unknown += hidden
     if not found:
         raise InputError("is too short to tell how its vehicle moves in any regime", where=recording.source)
@@ -144,7 +151,7 @@ def learn_vehicle(
         unknown.append(f"not seen, so taken as the nearest regime: {', '.join(missing)}")
     slip = sideslip_of(s)
     unknown += ["sideslip: too little turning at speed to tell it, so what is usual for its kind"] if slip is None else list(slip.unknown)
-    centres = np.sqrt(edges[:-1] * edges[1:])
+    centres = np.concatenate([edges[:1], np.sqrt(edges[:-1] * edges[1:]), edges[-1:]])
     spectrum = MotionSpectrum(centres, tuple(found), (), tuple(unknown))
     mean = {a: WN(float(np.sqrt(0.5 * np.median(noise[:, k])))) for k, a in enumerate(AXES)}
     sensor = {a: models[a] if models and a in models else NoiseModel([m]) for a, m in mean.items()}
@@ -158,6 +165,22 @@ def learn_vehicle(
         usual if slip is None else slip.as_slip(),
     )
     return LearnedVehicle(vehicle, sensor, seconds, slip, tuple(said))
+
+
+def _path(s: Signals, gnss: GnssRecord, kind: str, first: NDArray[np.intp], length: int) -> tuple[float, Complex]:
+    """Jerk density with which the fixes are smoothed, and transforms of what an IMU feels on the path that comes of it.
+
+    The largest density with which the path turns and pushes no more than :data:`SHARE` of what the IMU felt just above :data:`LOWEST`: a path
+    that follows the noise of its fixes moves more than its vehicle does.
+    """
+    f, z = spectra(s, first, length)
+    inside = (f >= LOWEST) & (f < 2.5 * LOWEST)
+    felt = np.mean(np.abs(z[:, inside][:, :, LEVEL]) ** 2, axis=(0, 1))
+    for jerk in JERKS:
+        z_path = spectra(replace(s, x=path_signals(s, gnss, kind, jerk)), first, length)[1]
+        if (np.mean(np.abs(z_path[:, inside][:, :, LEVEL]) ** 2, axis=(0, 1)) < SHARE * felt).all():
+            break
+    return jerk, z_path
 
 
 def cells(bin_hz: float, top: float) -> Array:
@@ -207,66 +230,113 @@ def _noise(s: Signals, models: Mapping[str, NoiseModel] | None, f: Array) -> tup
 
 
 def _regime(
-    k: int, f: Array, edges: Array, z: Complex, z_path: Complex, noise: Array
-) -> tuple[Regime, list[str]]:
-    """A regime from windows (w, f, 6) of it, and what is hidden in it."""
-    density, sigma, coherence = [], [], []
-    hidden = np.zeros((edges.size - 1, 6), dtype=bool)
-    for c, (low, high) in enumerate(pairwise(edges)):
-        inside = (f >= low - 0.25 * f[1]) & (f < high - 0.25 * f[1])
-        own = z[:, inside]
-        count = len(z) * int(inside.sum())
-        S = np.einsum("wfi,wfj->ij", own, np.conj(own)) / count
-        S_path = np.einsum("wfi,wfj->ij", z_path[:, inside], np.conj(z_path[:, inside])) / count
-        whole = np.diag(S).real
-        left = S - S_path - np.diag(noise[inside].mean(axis=0))
-        power = np.diag(left).real
-        hidden[c] = power < HIDDEN * whole
-        power = np.maximum(power, HIDDEN * whole)
-        root = np.sqrt(power)
-        # no signals have the negative eigenvalues that chance leaves; few windows make coherence where none is
-        value, vector = np.linalg.eigh(left / np.outer(root, root))
-        mixed = (vector * np.maximum(value, 0.0)) @ np.conj(vector.T)
-        scale = np.sqrt(np.maximum(np.diag(mixed).real, 1e-12))
-        mixed = mixed / np.outer(scale, scale)
-        share = 6.0 / (6.0 + 0.5 * count)
-        mixed = (1.0 - share) * mixed
-        np.fill_diagonal(mixed, 1.0)
-        each = np.sum(np.abs(own) ** 2, axis=1) / inside.sum()
-        # windows overlap by half and the loudness swings: half of them count
-        sigma.append(each.std(axis=0) / np.sqrt(0.5 * len(z)) / power)
-        density.append(power)
-        coherence.append(0.5 * (mixed + np.conj(mixed.T)))
-    swing, time = _swing(z, f, edges)
+    k: int, edges: Array, Y: Complex, Y_path: Complex, noise: Array, count: NDArray[np.int64]
+) -> tuple[list[Regime], list[str]]:
+    """The parts of a regime from spectral matrices (w, c, 6, 6) of its windows and their path, and what is hidden in it."""
+    many = len(Y)
+    power = np.einsum("wcii->wci", Y).real
+    known = np.einsum("wcii->wci", Y_path).real + noise
+    parts = 1 if many < PARTS_FROM[0] else 2 if many < PARTS_FROM[1] else 3
+    g = loudness(power, known, count, parts)
+    C = matrices(Y, Y_path + noise[:, :, None] * np.eye(6), g)
+    floor = HIDDEN * power.mean(axis=0)
+    out = []
+    hidden = np.einsum("pcii->ci", C).real < floor
+    for p in range(parts):
+        sigma, time = _swing(np.log(g[:, p]))
+        density = np.maximum(np.einsum("cii->ci", C[p]).real, 1e-6 * floor)
+        root = np.sqrt(density)
+        coherence = C[p] / (root[:, :, None] * root[:, None, :])
+        coherence[:, range(6), range(6)] = 1.0
+        # windows overlap by half, so half of them count; the loudness is one value a window
+        spread = np.sqrt((1.0 / count + np.expm1(4.0 * sigma**2)) / (0.5 * many))
+        out.append(
+            Regime(
+                REGIMES[k] + (f", part {p + 1}" if p else ""),
+                _ends(density),
+                _ends(0.5 * (coherence + np.conj(np.swapaxes(coherence, 1, 2)))),
+                swing_sigma=sigma,
+                swing_time=time,
+                density_sigma=_ends(np.repeat(spread[:, None], 6, axis=1)),
+                **ranges(k),
+            )
+        )
     words = [
-        f"{REGIMES[k]}: {axis_name(a)} {' and '.join(f'{p:.3g} to {q:.3g}' for p, q in _stretches(edges, hidden[:, a]))} Hz is hidden by the path or the noise"
+        f"{axis_name(a)} {' and '.join(f'{x:.2g} to {y:.2g}' for x, y in _stretches(edges, hidden[:, a]))} Hz"
         for a in range(6)
         if hidden[:, a].any()
     ]
-    made = Regime(
-        REGIMES[k],
-        np.array(density),
-        np.array(coherence),
-        swing_sigma=swing,
-        swing_time=time,
-        density_sigma=np.array(sigma),
-        **ranges(k),
-    )
-    return made, words
+    return out, [f"{REGIMES[k]}, hidden by the path or the noise: {', '.join(words)}"] if words else []
 
 
-def ranges(k: int) -> dict[str, tuple[float, float]]:
-    """Speed, turn and climb of a regime of :data:`REGIMES`, as its file says them."""
-    inf = float("inf")
-    edges = (STANDING, *SPEEDS, inf)
-    moving = {"speed": (STANDING, inf), "turn": (0.0, float(TURNING))}
-    if k == 0:
-        return {"speed": (0.0, STANDING)}
-    if k == 1:
-        return {"speed": (STANDING, inf), "turn": (float(TURNING), inf)}
-    if k in (2, 3):
-        return moving | {"climb": (CLIMBING, inf) if k == 2 else (-inf, -CLIMBING)}
-    return moving | {"speed": (edges[k - 4], edges[k - 3]), "climb": (-CLIMBING, CLIMBING)}
+def _ends(x: Array) -> Array:
+    """A table at the middles of cells, its first and last row repeated at the outer edges."""
+    return np.concatenate([x[:1], x, x[-1:]])
+
+
+def loudness(power: Array, known: Array, count: NDArray[np.int64], parts: int) -> Array:
+    """How loud each part is in each window (w, parts), mean 1, from powers (w, c, 6) beside known ones.
+
+    Parts are spectra whose sum with own loudnesses explains the windows best: road and driving, engine and wind come and go each by itself.
+
+    Parameters
+    ----------
+    power, known : (w, c, 6) arrays
+    count : (c,) array
+        Ordinates of each cell.
+    parts : int
+
+    Notes
+    -----
+    Factorization by the Itakura-Saito divergence, which is the likelihood of Gaussian signals (Fevotte, Bertin and Durrieu 2009), by
+    multiplicative updates.
+    """
+    many, cells_, axes = power.shape
+    V, K = power.reshape(many, -1), known.reshape(many, -1)
+    weight = np.repeat(count, axes).astype(np.float64)
+    mean = np.maximum(V - K, HIDDEN * V).mean(axis=0)
+    # they begin as low, high and all
+    place = np.repeat(np.linspace(0.0, 1.0, cells_), axes)
+    shapes = [np.ones_like(place), 1.5 - place, 0.5 + place][:parts]
+    D = np.stack([mean * x for x in (shapes if parts != 2 else shapes[1:] + [0.5 + place])][:parts]) / parts
+    g = np.ones((many, parts))
+    for _ in range(ITERATIONS):
+        R = g @ D + K
+        g *= np.sqrt(((weight * V / R**2) @ D.T) / ((weight / R) @ D.T))
+        R = g @ D + K
+        D *= np.sqrt((g.T @ (V / R**2)) / (g.T @ (1.0 / R)))
+        scale = g.mean(axis=0)
+        g, D = np.maximum(g / scale, 1e-4), D * scale[:, None]
+    return np.asarray(g)
+
+
+def matrices(Y: Complex, known: Complex, g: Array) -> Complex:
+    """Spectral matrices (parts, c, 6, 6) of parts with loudnesses (w, parts) whose sum with known ones makes those (w, c, 6, 6) likeliest.
+
+    Parameters
+    ----------
+    Y, known : (w, c, 6, 6) complex arrays
+    g : (w, parts) array
+
+    Notes
+    -----
+    Expectation and maximization for sums of Gaussian vectors with loudnesses of their own (Duong, Vincent and Gribonval 2010, section IV).
+    """
+    whole = Y.mean(axis=0)
+    eye = np.eye(6)
+    diagonal = np.einsum("cii->ci", whole).real[:, :, None] * eye
+    C = np.repeat((0.9 * whole + 0.1 * diagonal)[None] / g.shape[1], g.shape[1], axis=0)
+    for _ in range(ITERATIONS // 2):
+        own = g.T[:, :, None, None, None] * C[:, None]
+        inverse = np.linalg.inv(own.sum(axis=0) + known + 1e-6 * diagonal)
+        new = []
+        for p in range(g.shape[1]):
+            W = own[p] @ inverse
+            felt = W @ Y @ np.conj(np.swapaxes(W, -1, -2)) + (eye - W) @ own[p]
+            new.append((felt / g[:, p, None, None, None]).mean(axis=0))
+        C = np.stack(new)
+        C = 0.5 * (C + np.conj(np.swapaxes(C, -1, -2)))
+    return np.asarray(C)
 
 
 def _stretches(edges: Array, inside: NDArray[np.bool_]) -> list[tuple[float, float]]:
@@ -274,41 +344,34 @@ def _stretches(edges: Array, inside: NDArray[np.bool_]) -> list[tuple[float, flo
     return [(float(edges[a]), float(edges[b])) for a, b in turns]
 
 
-def _swing(z: Complex, f: Array, edges: Array) -> tuple[float, float]:
-    """Standard deviation (nepers of amplitude) and time (s) of the loudness that all axes share, from windows half overlapping."""
-    logs = []
-    for low, high in pairwise(edges[::CELLS]):
-        inside = (f >= low) & (f < high)
-        if inside.sum() > 2:
-            logs.append(np.log(np.mean(np.abs(z[:, inside]) ** 2, axis=1)))
-    if not logs:
-        return 0.0, 5.0
-    y = 0.5 * np.concatenate(logs, axis=1)
-    y = y - y.mean(axis=0)
-    common = y.mean(axis=1)
-    # what axes and bands do not share scatters the mean of all by its own size over their number
-    own = float(np.mean((y - common[:, None]) ** 2)) / y.shape[1]
-    variance = float(common.var()) - own
-    if variance <= 1e-4:
-        return 0.0, 5.0
+def _swing(logs: Array) -> tuple[float, float]:
+    """Standard deviation (nepers of amplitude) and time (s) of a loudness from its logarithms (w,) in windows half overlapping."""
+    logs = 0.5 * logs
+    low, high = np.quantile(logs, [0.1, 0.9])
+    y = np.clip(logs, low - 0.5 * (high - low), None)  # a part that is away is away, however far
+    sigma = float((high - low) / 2.563)
+    if sigma < 0.05 or y.size < 8:
+        return (min(sigma, LARGEST_SWING) if sigma >= 0.05 else 0.0), 5.0
+    y = y - y.mean()
     # autocorrelation (1 + x) exp(-x), x = lag over time, two windows apart so that none overlap
-    lag = WINDOW_S
-    r = float(np.mean(common[2:] * common[:-2])) / variance if common.size > 4 else 0.0
-    x = np.geomspace(lag / SWINGS[1], lag / SWINGS[0], 200)
-    at = int(np.argmin(np.abs((1.0 + x) * np.exp(-x) - r)))
-    return float(np.sqrt(variance)), float(lag / x[at])
+    r = float(np.mean(y[2:] * y[:-2]) / np.mean(y**2))
+    x = np.geomspace(WINDOW_S / SWINGS[1], WINDOW_S / SWINGS[0], 200)
+    x = float(x[np.argmin(np.abs((1.0 + x) * np.exp(-x) - r))])
+    # a window shows the mean over it, which swings less
+    u = np.linspace(0.0, 1.0, 100)
+    kept = 2.0 * float(np.mean((1.0 - u) * (1.0 + x * u) * np.exp(-x * u)))
+    return min(sigma / float(np.sqrt(kept)), LARGEST_SWING), WINDOW_S / x
 
 
-def jerk_density(s: Signals) -> float | None:
-    """Density of the jerk (m/s^3 per sqrt(Hz)) along and across the track while it moves; None where the recording is too short."""
-    length = round(JERK_S / s.dt)
-    first = s.pieces(length, length // 2)
-    if not first.size:
-        return None
-    first = first[s.motion(s.t[first] + 0.5 * JERK_S)[0] > STANDING]
-    if first.size < 4:
-        return None
-    f, z = spectra(s, first, length)
-    inside = (f >= JERK_HZ[0]) & (f <= JERK_HZ[1])
-    density = np.mean(np.abs(z[:, inside, 3:5] * (2.0 * np.pi * f[inside])[:, None]) ** 2)
-    return float(np.sqrt(0.5 * density))
+def ranges(k: int) -> dict[str, tuple[float, float]]:
+    """Speed, turn and climb of a regime of :data:`REGIMES`, as its file says them."""
+    inf = float("inf")
+    edges = (ROLLING[1], *SPEEDS, inf)
+    moving = {"speed": (ROLLING[1], inf), "turn": (0.0, float(TURNING))}
+    if k == 0:
+        return {"speed": (0.0, ROLLING[0])}
+    if k == 1:
+        return {"speed": (ROLLING[1], inf), "turn": (float(TURNING), inf)}
+    if k in (2, 3):
+        return moving | {"climb": (CLIMBING, inf) if k == 2 else (-inf, -CLIMBING)}
+    return moving | {"speed": (edges[k - 4], edges[k - 3]), "climb": (-CLIMBING, CLIMBING)}

@@ -227,6 +227,8 @@ class MotionSpectrum:
 def weights(regimes: Sequence[Regime], speed: ArrayLike, turn: ArrayLike, climb: ArrayLike) -> Array:
     """Shares (n, regimes) of the power that regimes have at motions; they sum to one.
 
+    Regimes with the same ranges are parts of one: they go on side by side, each with its own loudness, and have its share each.
+
     Parameters
     ----------
     regimes : sequence of Regime
@@ -236,4 +238,5 @@ def weights(regimes: Sequence[Regime], speed: ArrayLike, turn: ArrayLike, climb:
     speed, turn, climb = (np.atleast_1d(np.asarray(x, dtype=float)) for x in (speed, turn, climb))
     far = np.stack([r.farness(speed, turn, climb) for r in regimes], axis=1)
     near = np.exp(far.min(axis=1, keepdims=True) - far)
-    return np.asarray(near / near.sum(axis=1, keepdims=True))
+    same = [(r.speed, r.turn, r.climb) for r in regimes]
+    return np.asarray(near / (near / [same.count(x) for x in same]).sum(axis=1, keepdims=True))
