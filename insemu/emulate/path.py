@@ -69,12 +69,15 @@ class SmoothPath:
         Latitude rad, longitude rad, height m where the map coordinates are zero.
     name : str
         Appears in tables.
+    highest : float
+        Highest frequency of the motion, Hz: what an average over an interval has to follow.
     """
 
     position: Curve
     attitude: Curve
     origin: Array
     name: str = "path"
+    highest: float = 0.1 / KNOT_S
 
     @classmethod
     def from_velocity(

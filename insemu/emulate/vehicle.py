@@ -17,6 +17,9 @@ VehicleKind = Literal[
     "car", "multirotor", "helicopter", "fixed_wing", "truck", "tractor", "train", "boat", "walker", "hand"
 ]
 
+#: Fastest that goes backwards on the ground or on water, m/s.
+REVERSE = 8.0
+
 
 @dataclass(frozen=True)
 class Vehicle:
@@ -55,6 +58,11 @@ class Vehicle:
     lean: float | None = None
 
     @property
+    def back(self) -> float:
+        """Fastest in reverse gear, m/s; 0 for what has none."""
+        return 0.0 if self.lean is None else min(REVERSE, self.max_speed)
+
+    @property
     def hovers(self) -> bool:
         """Whether it can stand in the air."""
         return self.name in ("multirotor", "helicopter")
@@ -78,7 +86,8 @@ class Vehicle:
         """
         g = STANDARD_GRAVITY
         lateral = speed * turn_rate
-        slope = np.arctan2(climb_rate, np.hypot(speed, 3.0))  # soft at standstill, where a slope means nothing
+        # soft at standstill, where a slope means nothing; uphill in reverse gear the nose points down
+        slope = np.arctan2(climb_rate * np.where(speed < 0.0, -1.0, 1.0), np.hypot(speed, 3.0))
         if self.lean is not None:
             lean = self.lean / g
             roll, pitch = -lean * lateral, slope + abs(lean) * acceleration

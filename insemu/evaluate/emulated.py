@@ -166,6 +166,7 @@ class EmulatedWorld:
             gravity=source.gravity,
             mounting=source.mounting,
             span=None if source.duration is None and not source.begin else (begin, end),
+            sampling=source.imu,
         )
         return Flown(loaded, ideal)
 

@@ -13,7 +13,7 @@ from insemu.emulate import TRAJECTORIES, AreaOutage, Mount, Mounting, Outage, Te
 from insemu.errors import InputError, nearest, shown
 from insemu.filters import InitialSigma
 from insemu.noise import NoiseModel
-from insemu.records import AXES
+from insemu.records import AXES, Sampling
 from insemu.scenario.design import AxisSource, Design, OrName
 from insemu.scenario.fields import (
     AccelModel,
@@ -54,6 +54,18 @@ class MountingKeys(Section):
         default=(0.0, 0.0, 0.0), description="vehicle reference point to IMU, forward, right, down"
     )
     rpy: Angles = Field(default=(0.0, 0.0, 0.0), description="roll, pitch, yaw of the IMU with respect to the vehicle")
+
+
+class SamplingKeys(Section):
+    """How the sensor really samples, whatever ``kind`` takes its values for."""
+
+    average: Literal["interval", "instant"] = Field(
+        default="interval", description="mean over the sampling interval, or value at the stamp"
+    )
+    bandwidth: Hertz | None = Field(default=None, gt=0, description="-3 dB of the sensor's second-order low-pass; none")
+    stamp: Literal["start", "middle", "end"] = Field(
+        default="end", description="where in its interval the stamp of an average lies"
+    )
 
 
 #: Vehicles without a motion of their own (:data:`insemu.emulate.VEHICLES`).
@@ -156,6 +168,9 @@ class TrajectorySource(Section):
         default=None, description="where and how the IMU sits in the vehicle"
     )
     rate: Hertz = Field(default=100.0, gt=0, le=MAX_RATE, description="IMU rate")
+    imu: Annotated[Sampling, Made(SamplingKeys)] | None = Field(
+        default=None, description="how the sensor itself samples (with mode: continuous)"
+    )
     begin: Seconds = Field(
         default=0.0,
         ge=0,
@@ -191,6 +206,10 @@ class TrajectorySource(Section):
             found = " and ".join(f"'{k}'" for k in given) or "none"
             raise InputError(
                 f"one source of motion is needed: the key 'builtin', 'waypoints', 'track' or 'motion'; found {found}"
+            )
+        if self.imu is not None and self.mode == "exact":
+            raise InputError(
+                "a sensor's own sampling needs a continuous path; expected 'mode: continuous' beside 'imu'"
             )
         if self.kind == "sample" and self.mode == "exact":
             raise InputError(

@@ -393,4 +393,9 @@ def shaken(
     slip : SlipMotion, optional
     """
     motion = BodyMotion(path, spectrum, seed, mount, slip)
-    return replace(path, position=_Sum(path.position, motion, 0), attitude=_Sum(path.attitude, motion, 3))
+    return replace(
+        path,
+        position=_Sum(path.position, motion, 0),
+        attitude=_Sum(path.attitude, motion, 3),
+        highest=max(path.highest, spectrum.highest),
+    )
