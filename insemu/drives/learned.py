@@ -48,7 +48,7 @@ HIDDEN = 0.02
 #: Windows from which on a regime has two and three parts, each with a loudness of its own; steps of the climb to their likeliest sizes.
 PARTS_FROM, ITERATIONS = (14, 30), 60
 #: Time constants of a swing that windows of four seconds tell, s, and the largest swing, nepers: beyond, a few windows are all of the power.
-SWINGS, LARGEST_SWING = (3.0, 30.0), 0.7
+SWINGS, LARGEST_SWING = (3.0, 30.0), 0.55
 #: Speeds below which a vehicle stands and above which it moves, m/s: ranges have soft edges, and standing is forty decibels quieter.
 ROLLING = (0.2, 1.5)
 #: Jerk densities of paths, m/s^3 per sqrt(Hz), and axes that a level path moves: yaw, along and across.
@@ -240,8 +240,12 @@ def _regime(
     g = loudness(power, known, count, parts)
     C = matrices(Y, Y_path + noise[:, :, None] * np.eye(6), g)
     floor = HIDDEN * power.mean(axis=0)
+    left = (power - known).mean(axis=0)
+    hidden = left < floor
+    # the likeliest matrices are those of the usual window; the mean power is that of all
+    size = np.sqrt(np.maximum(left, floor) / np.maximum(np.einsum("pcii->ci", C).real, 1e-3 * floor))
+    C = C * (size[:, :, None] * size[:, None, :])
     out = []
-    hidden = np.einsum("pcii->ci", C).real < floor
     for p in range(parts):
         sigma, time = _swing(np.log(g[:, p]))
         density = np.maximum(np.einsum("cii->ci", C[p]).real, 1e-6 * floor)

@@ -33,6 +33,8 @@ Complex = NDArray[np.complex128]
 KNOTS_PER_PERIOD = 4.0
 #: Periods of the lowest frequency in a hop from block to block, and least length of it in s.
 PERIODS, SHORTEST_HOP = 4.0, 8.0
+#: Time within which one regime passes into the next, s: displacements are large where they are slow, and a sudden share of one is a blow.
+CHANGE_S = 4.0
 #: Shares of the power below which a regime is not drawn.
 _NO_SHARE = 1e-6
 #: Blocks that are kept: 25 MB.
@@ -181,7 +183,7 @@ class BodyMotion:
         velocity, rpy = self.path.position(inside, 1), self.path.attitude(inside)
         turn = self.path.attitude(inside, 1)[:, 2]
         speed = np.hypot(velocity[:, 0], velocity[:, 1])
-        shares = weights(self.spectrum.regimes, speed, turn, velocity[:, 2])
+        shares = self._shares(t)
         body = np.zeros((self.hop, 6))
         for k, swing in enumerate(self._swings):
             if shares[:, k].max() < _NO_SHARE:
@@ -200,6 +202,18 @@ class BodyMotion:
         while len(self._pages) > _KEPT:
             self._pages.popitem(last=False)
         return out
+
+    def _shares(self, t: Array) -> Array:
+        """Shares of the regimes (n, regimes) at times on a uniform grid, changing within :data:`CHANGE_S`."""
+        window = np.hanning(23)[1:-1]
+        step = CHANGE_S / (window.size + 1)
+        grid = np.arange(t[0] - CHANGE_S, t[-1] + CHANGE_S + step, step)
+        inside = np.clip(grid, self.path.start, self.path.end)
+        velocity, turn = self.path.position(inside, 1), self.path.attitude(inside, 1)[:, 2]
+        speed = np.hypot(velocity[:, 0], velocity[:, 1])
+        now = weights(self.spectrum.regimes, speed, turn, velocity[:, 2])
+        smooth = [np.convolve(column, window / window.sum(), "same") for column in now.T]
+        return np.stack([np.interp(t, grid, column) for column in smooth], axis=1)
 
     def _slipped(self, number: int, t: Array, inside: Array, velocity: Array, rpy: Array, turn: Array) -> Array:
         """Changes of roll, pitch and heading (hop, 3) at the knots of a page."""
