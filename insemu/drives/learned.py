@@ -19,7 +19,6 @@ from insemu.drives.windows import (
     CLIMBING,
     REGIMES,
     SPEEDS,
-    TURNING,
     USABLE,
     WINDOW_S,
     Signals,
@@ -49,8 +48,9 @@ HIDDEN = 0.02
 PARTS_FROM, ITERATIONS = (14, 30), 60
 #: Time constants of a swing that windows of four seconds tell, s, and the largest swing, nepers: beyond, a few windows are all of the power.
 SWINGS, LARGEST_SWING = (3.0, 30.0), 0.55
-#: Speeds below which a vehicle stands and above which it moves, m/s: ranges have soft edges, and standing is forty decibels quieter.
-ROLLING = (0.2, 1.5)
+#: Speeds below which a vehicle stands and above which it moves, m/s, and turns below which it goes straight and above which it turns, rad/s: ranges
+#: have soft edges, and what is louder by twenty to forty decibels must not reach through them. The classes of windows end between.
+ROLLING, BENDING = (0.2, 1.5), (0.04, 0.11)
 #: Jerk densities of paths, m/s^3 per sqrt(Hz), and axes that a level path moves: yaw, along and across.
 JERKS, LEVEL, SHARE = (3.0, 1.5, 0.75, 0.4, 0.2, 0.1, 0.05), [2, 3, 4], 0.5
 
@@ -250,6 +250,7 @@ def _regime(
         sigma, time = _swing(np.log(g[:, p]))
         density = np.maximum(np.einsum("cii->ci", C[p]).real, 1e-6 * floor)
         root = np.sqrt(density)
+        density = table(edges, density)
         coherence = C[p] / (root[:, :, None] * root[:, None, :])
         coherence[:, range(6), range(6)] = 1.0
         # windows overlap by half, so half of them count; the loudness is one value a window
@@ -257,7 +258,7 @@ def _regime(
         out.append(
             Regime(
                 REGIMES[k] + (f", part {p + 1}" if p else ""),
-                _ends(density),
+                density,
                 _ends(0.5 * (coherence + np.conj(np.swapaxes(coherence, 1, 2)))),
                 swing_sigma=sigma,
                 swing_time=time,
@@ -271,6 +272,20 @@ def _regime(
         if hidden[:, a].any()
     ]
     return out, [f"{REGIMES[k]}, hidden by the path or the noise: {', '.join(words)}"] if words else []
+
+
+def table(edges: Array, density: Array) -> Array:
+    """Densities (c + 2, k) at the edges and middles of cells, straight in logarithms between, that have the mean densities (c, k) in the cells."""
+    centres = np.log(np.sqrt(edges[:-1] * edges[1:]))
+    at = np.concatenate([np.log(edges[:1]), centres, np.log(edges[-1:])])
+    u = (np.arange(16) + 0.5) / 16.0
+    f = edges[:-1, None] + np.diff(edges)[:, None] * u
+    out = density.copy()
+    for _ in range(8):
+        rows = np.log(_ends(out))
+        mean = np.stack([np.exp(np.interp(np.log(f), at, y)).mean(axis=1) for y in rows.T], axis=1)
+        out *= np.clip(density / mean, 0.5, 2.0) ** 0.7
+    return _ends(out)
 
 
 def _ends(x: Array) -> Array:
@@ -371,11 +386,11 @@ def ranges(k: int) -> dict[str, tuple[float, float]]:
     """Speed, turn and climb of a regime of :data:`REGIMES`, as its file says them."""
     inf = float("inf")
     edges = (ROLLING[1], *SPEEDS, inf)
-    moving = {"speed": (ROLLING[1], inf), "turn": (0.0, float(TURNING))}
+    moving = {"speed": (ROLLING[1], inf), "turn": (0.0, BENDING[0])}
     if k == 0:
         return {"speed": (0.0, ROLLING[0])}
     if k == 1:
-        return {"speed": (ROLLING[1], inf), "turn": (float(TURNING), inf)}
+        return {"speed": (ROLLING[1], inf), "turn": (BENDING[1], inf)}
     if k in (2, 3):
         return moving | {"climb": (CLIMBING, inf) if k == 2 else (-inf, -CLIMBING)}
     return moving | {"speed": (edges[k - 4], edges[k - 3]), "climb": (-CLIMBING, CLIMBING)}
