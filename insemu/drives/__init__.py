@@ -3,7 +3,7 @@
 import sys
 
 from insemu import CalledRoom
-from insemu.drives.compared import ALIKE_DB, Band, Comparison, Telling, compare_drives
+from insemu.drives.compared import ALIKE_DB, Band, Comparison, Telling, compare_drives, unit_of
 from insemu.drives.learned import LearnedVehicle, learn_vehicle, track_for
 from insemu.drives.sideslip import Sideslip
 from insemu.drives.windows import REGIMES, Windows, signals_of, top_of, windows_of, within
@@ -22,6 +22,7 @@ __all__ = [
     "signals_of",
     "top_of",
     "track_for",
+    "unit_of",
     "windows_of",
     "within",
 ]
