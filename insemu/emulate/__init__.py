@@ -4,7 +4,18 @@ import sys
 
 from insemu import CalledRoom
 from insemu.emulate.differenced import Differenced, difference
-from insemu.emulate.dynamics import Mount, Moving, MovingVehicle, preset_file, presets, read_vehicle
+from insemu.emulate.dynamics import (
+    MotionSpectrum,
+    Mount,
+    Moving,
+    MovingVehicle,
+    Regime,
+    Slip,
+    preset_file,
+    presets,
+    read_vehicle,
+    vehicle_text,
+)
 from insemu.emulate.errors import RecordedErrors
 from insemu.emulate.flight import Flight, gusts, moving_share, origin_at
 from insemu.emulate.gnss import AreaOutage, Outage, antenna, fixes_at, gnss_fixes, random_outages, state_at
@@ -32,12 +43,15 @@ __all__ = [
     "Flight",
     "Following",
     "IdealImu",
+    "MotionSpectrum",
     "Mount",
     "Mounting",
     "Moving",
     "MovingVehicle",
     "Outage",
     "RecordedErrors",
+    "Regime",
+    "Slip",
     "SmoothPath",
     "SmoothedTrack",
     "Source",
@@ -75,6 +89,7 @@ __all__ = [
     "smooth_track",
     "state_at",
     "turn_rate",
+    "vehicle_text",
 ]
 
 sys.modules[__name__].__class__ = CalledRoom

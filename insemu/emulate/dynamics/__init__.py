@@ -4,6 +4,7 @@ from insemu.emulate.dynamics.blocks import Mount
 from insemu.emulate.dynamics.files import MovingVehicle, read_vehicle, vehicle_text
 from insemu.emulate.dynamics.presets import preset_file, presets
 from insemu.emulate.dynamics.shaken import BodyMotion, Moving, shaken
+from insemu.emulate.dynamics.slip import Slip
 from insemu.emulate.dynamics.slow import SlowProcess
 from insemu.emulate.dynamics.spectrum import Line, MotionSpectrum, Regime, weights
 
@@ -15,6 +16,7 @@ __all__ = [
     "Moving",
     "MovingVehicle",
     "Regime",
+    "Slip",
     "SlowProcess",
     "preset_file",
     "presets",

@@ -154,12 +154,13 @@ class SlipMotion:
             flow = air if self.vehicle.lean is None else s.leeway * air
             if s.current[0]:
                 flow = flow + self._flow(t, *s.current, 2)
-            through = velocity[:, :2] - flow
-            # the angle from the nose to the way through air or water; none where the vehicle is slower than they are
-            c, n = np.cos(heading), np.sin(heading)
-            angle = np.arctan2(c * through[:, 1] - n * through[:, 0], c * through[:, 0] + n * through[:, 1])
-            ratio = np.hypot(flow[:, 0], flow[:, 1]) / np.maximum(speed, 1e-3)
-            change += angle * moving * smoothstep(np.clip((1.2 - ratio) / 0.4, 0.0, 1.0))
+            if flow.any():  # else the nose is on its course
+                through = velocity[:, :2] - flow
+                # the angle from the nose to the way through air or water; none where the vehicle is slower than they are
+                c, n = np.cos(heading), np.sin(heading)
+                angle = np.arctan2(c * through[:, 1] - n * through[:, 0], c * through[:, 0] + n * through[:, 1])
+                ratio = np.hypot(flow[:, 0], flow[:, 1]) / np.maximum(speed, 1e-3)
+                change += angle * moving * smoothstep(np.clip((1.2 - ratio) / 0.4, 0.0, 1.0))
         if s.nose != "course":
             change = change + self.free(t, where, heading, last)
         return self._attitude(attitude, change, tilt)

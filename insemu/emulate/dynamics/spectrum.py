@@ -224,8 +224,14 @@ class MotionSpectrum:
         return np.asarray(root[:, :, None] * np.linalg.cholesky(mixed + 1e-9 * np.eye(6)))
 
 
+def parts(regimes: Sequence[Regime]) -> list[int]:
+    """Number of each regime among those with the same ranges: those are parts of one, which go on side by side, each with its own loudness."""
+    ranges = [(r.speed, r.turn, r.climb) for r in regimes]
+    return [ranges[:k].count(x) for k, x in enumerate(ranges)]
+
+
 def weights(regimes: Sequence[Regime], speed: ArrayLike, turn: ArrayLike, climb: ArrayLike) -> Array:
-    """Shares (n, regimes) of the power that regimes have at motions; they sum to one.
+    """Shares (n, regimes) that regimes have of the motion; they sum to one, parts of one regime (:func:`parts`) counted once.
 
     Parameters
     ----------
@@ -236,4 +242,5 @@ def weights(regimes: Sequence[Regime], speed: ArrayLike, turn: ArrayLike, climb:
     speed, turn, climb = (np.atleast_1d(np.asarray(x, dtype=float)) for x in (speed, turn, climb))
     far = np.stack([r.farness(speed, turn, climb) for r in regimes], axis=1)
     near = np.exp(far.min(axis=1, keepdims=True) - far)
-    return np.asarray(near / near.sum(axis=1, keepdims=True))
+    first = np.array(parts(regimes)) == 0
+    return np.asarray(near / near[:, first].sum(axis=1, keepdims=True))

@@ -1,0 +1,396 @@
+"""A vehicle from a recording: what its body does about the path, by regime, with standard deviations, and what the recording cannot tell.
+
+The motion below about half a hertz is the path's, made from the fixes as an emulation makes it. Above, the spectral matrix of the six axes less
+that of the path and less the sensor's noise is the vehicle's. What is left follows from the same windows: how its loudness swings, sideslip by
+holding the course against the gyroscope, and the jerk density with which it changes its mind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.drives.sideslip import Sideslip, sideslip_of
+from insemu.drives.windows import (
+    CLIMBING,
+    REGIMES,
+    SPEEDS,
+    USABLE,
+    WINDOW_S,
+    Signals,
+    axis_name,
+    regime_of,
+    resting_noise,
+    signals_of,
+    spectra,
+    within,
+)
+from insemu.emulate import MotionSpectrum, MovingVehicle, Regime, Slip, Track, ideal_imu, smooth_track
+from insemu.errors import InputError
+from insemu.filters import with_standard_deviations
+from insemu.noise import WN, NoiseModel
+from insemu.records import AXES, GnssRecord, Recording
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+#: Lowest frequency of the table, Hz, and its cells in an octave: below, the fixes tell the path; a cell holds two ordinates of a window at least.
+LOWEST, CELLS = 0.4, 4
+#: Fewest windows in a regime of its own (half overlapping, so 16 s).
+FEWEST = 7
+#: Least share of a density that is taken for the vehicle's; below it the sensor's noise hides it.
+HIDDEN = 0.02
+#: Windows from which on a regime has two and three parts, each with a loudness of its own; steps of the climb to their likeliest sizes.
+PARTS_FROM, ITERATIONS = (14, 30), 60
+#: Time constants of a swing that windows of four seconds tell, s, and the largest swing, nepers: beyond, a few windows are all of the power.
+SWINGS, LARGEST_SWING = (3.0, 30.0), 0.55
+#: Speeds below which a vehicle stands and above which it moves, m/s, and turns below which it goes straight and above which it turns, rad/s: ranges
+#: have soft edges, and what is louder by twenty to forty decibels must not reach through them. The classes of windows end between.
+ROLLING, BENDING = (0.2, 1.5), (0.04, 0.11)
+#: Jerk densities of paths, m/s^3 per sqrt(Hz), and axes that a level path moves: yaw, along and across.
+JERKS, LEVEL, SHARE = (3.0, 1.5, 0.75, 0.4, 0.2, 0.1, 0.05), [2, 3, 4], 0.5
+
+
+@dataclass(frozen=True)
+class LearnedVehicle:
+    """What a recording tells of its vehicle.
+
+    Parameters
+    ----------
+    vehicle : MovingVehicle
+        As a scenario takes it; ``spectrum.unknown`` says what it cannot tell.
+    sensor : mapping of axis to NoiseModel
+        The noise that was taken off; with it the vehicle sounds as the recording does.
+    seconds : mapping of regime to float
+        How long it was seen, s.
+    sideslip : Sideslip or None
+        None where nothing tells it.
+    said : tuple of str
+        What was assumed and done.
+    """
+
+    vehicle: MovingVehicle
+    sensor: dict[str, NoiseModel]
+    seconds: dict[str, float]
+    sideslip: Sideslip | None
+    said: tuple[str, ...]
+
+
+def learn_vehicle(
+    recording: Recording,
+    *,
+    kind: str = "car",
+    name: str = "",
+    models: Mapping[str, NoiseModel] | None = None,
+    span: tuple[float, float] | None = None,
+) -> LearnedVehicle:
+    """Learn a vehicle from a recording of it.
+
+    Parameters
+    ----------
+    recording : Recording
+        In motion, with fixes.
+    kind : str
+        Key of :data:`insemu.emulate.VEHICLES`: the attitude that its path asks for.
+    name : str
+        Of the vehicle.
+    models : mapping of axis to NoiseModel, optional
+        Noise of the sensor; from its standstills where it is not given.
+    span : (start_s, end_s), optional
+        A part of the recording.
+
+    Raises
+    ------
+    InputError
+        No fixes, or fewer than :data:`FEWEST` windows in every regime.
+    """
+    if recording.gnss is None:
+        raise InputError("has no fixes, expected some that tell the path of the vehicle", where=recording.source)
+    part = within(recording, span)
+    assert part.gnss is not None
+    s = signals_of(part)
+    said, unknown = list(s.said), []
+    length = round(WINDOW_S / s.dt)
+    first = s.pieces(length, length // 2)
+    f, z = spectra(s, first, length)
+    jerk, z_path = _path(s, part.gnss, kind, first, length)
+    noise, words = _noise(s, models, f)
+    unknown += words
+    if recording.imu.kind != "sample":  # what averages over an interval shows less than there is
+        loss = np.sinc(f * s.dt)
+        z, z_path, noise = z / loss[:, None], z_path / loss[:, None], noise / loss[:, None] ** 2
+    regime = regime_of(*s.motion(s.t[first] + 0.5 * WINDOW_S))
+    edges = cells(float(f[1]), USABLE * 0.5 / s.dt)
+    inside = [(f >= low - 0.25 * f[1]) & (f < high - 0.25 * f[1]) for low, high in pairwise(edges)]
+    count = np.array([i.sum() for i in inside])
+    Y, Y_path = (
+        np.stack([np.einsum("wfi,wfj->wij", x[:, i], np.conj(x[:, i])) / i.sum() for i in inside], axis=1) for x in (z, z_path)
+    )
+    quiet = np.stack([noise[i].mean(axis=0) for i in inside])
+    found: list[Regime] = []
+    seconds: dict[str, float] = {}
+    for k, word in enumerate(REGIMES):
+        rows = regime == k
+        if not rows.any():
+            continue
+        if rows.sum() < FEWEST:
+            unknown.append(f"{word}: {0.5 * WINDOW_S * rows.sum():.0f} s are too few, the nearest regime stands for it")
+            continue
+        seconds[word] = float(0.5 * WINDOW_S * rows.sum())
+        made, hidden = _regime(k, edges, Y[rows], Y_path[rows], quiet, count)
+        found += made
+        unknown += hidden
+    if not found:
+        raise InputError("is too short to tell how its vehicle moves in any regime", where=recording.source)
+    missing = [word for k, word in enumerate(REGIMES) if not (regime == k).any()]
+    if missing:
+        unknown.append(f"not seen, so taken as the nearest regime: {', '.join(missing)}")
+    slip = sideslip_of(s)
+    unknown += ["sideslip: too little turning at speed to tell it, so what is usual for its kind"] if slip is None else list(slip.unknown)
+    centres = np.concatenate([edges[:1], np.sqrt(edges[:-1] * edges[1:]), edges[-1:]])
+    spectrum = MotionSpectrum(centres, tuple(found), (), tuple(unknown))
+    mean = {a: WN(float(np.sqrt(0.5 * np.median(noise[:, k])))) for k, a in enumerate(AXES)}
+    sensor = {a: models[a] if models and a in models else NoiseModel([m]) for a, m in mean.items()}
+    usual = Slip()
+    vehicle = MovingVehicle(
+        name or "learned",
+        kind,
+        spectrum,
+        f"learned from {recording.source}",
+        jerk,
+        usual if slip is None else slip.as_slip(),
+    )
+    return LearnedVehicle(vehicle, sensor, seconds, slip, tuple(said))
+
+
+def _path(s: Signals, gnss: GnssRecord, kind: str, first: NDArray[np.intp], length: int) -> tuple[float, Complex]:
+    """Jerk density with which the fixes are smoothed, and transforms of what an IMU feels on the path that comes of it.
+
+    The largest density with which the path turns and pushes no more than :data:`SHARE` of what the IMU felt just above :data:`LOWEST`: a path
+    that follows the noise of its fixes moves more than its vehicle does.
+    """
+    f, z = spectra(s, first, length)
+    inside = (f >= LOWEST) & (f < 2.5 * LOWEST)
+    felt = np.mean(np.abs(z[:, inside][:, :, LEVEL]) ** 2, axis=(0, 1))
+    for jerk in JERKS:
+        z_path = spectra(replace(s, x=path_signals(s, gnss, kind, jerk)), first, length)[1]
+        if (np.mean(np.abs(z_path[:, inside][:, :, LEVEL]) ** 2, axis=(0, 1)) < SHARE * felt).all():
+            break
+    return jerk, z_path
+
+
+def cells(bin_hz: float, top: float) -> Array:
+    """Edges of the cells of the table, Hz: :data:`CELLS` an octave, each two ordinates wide at least."""
+    edges = [LOWEST]
+    while edges[-1] < 0.95 * top:
+        edges.append(min(max(edges[-1] * 2.0 ** (1.0 / CELLS), edges[-1] + 1.5 * bin_hz), top))
+    return np.array(edges)
+
+
+def path_signals(s: Signals, gnss: GnssRecord, kind: str, jerk: float | None) -> Array:
+    """What a perfect IMU feels on the path that an emulation makes of the fixes, (n, 6) at the rows of the signals.
+
+    Parameters
+    ----------
+    s : Signals
+    gnss : GnssRecord
+    kind : str
+    jerk : float, optional
+        m/s^3 per sqrt(Hz).
+    """
+    path = smooth_track(track_for(gnss), kind, jerk=jerk, max_gap_s=np.inf).path
+    start, end = max(path.start, s.t[0]), min(path.end, s.t[-1])
+    ideal = ideal_imu(path, 20.0, mode="continuous", kind="sample", span=(start, end)).imu
+    return np.stack([np.interp(s.t, ideal.t, column) for column in ideal.rates().T], axis=1)
+
+
+def track_for(gnss: GnssRecord) -> Track:
+    """The fixes as a track, with standard deviations where nobody states them."""
+    return Track.of(with_standard_deviations(gnss)[0], "fixes")
+
+
+def _noise(s: Signals, models: Mapping[str, NoiseModel] | None, f: Array) -> tuple[Array, list[str]]:
+    """One-sided densities (f, 6) of the sensor in vehicle axes, and what is not known of them."""
+    if models:
+        own = np.stack([2.0 * models[a].psd(np.maximum(f, f[1]), s.dt) for a in AXES], axis=1)
+        return own @ np.kron(np.eye(2), np.asarray(s.mounting) ** 2).T, []
+    level = resting_noise(s)
+    if level is None:
+        level = resting_noise(s, moving=True)
+        words = ["the sensor's noise: it never stands, so what no other axis explains is taken for noise, which is too much"]
+    else:
+        words = ["the sensor's noise while it moves: taken as what standstills show that no other axis explains"]
+    if level is None:
+        return np.zeros((f.size, 6)), ["the sensor's noise: too few windows, so none is taken off"]
+    return np.tile(level, (f.size, 1)), words
+
+
+def _regime(
+    k: int, edges: Array, Y: Complex, Y_path: Complex, noise: Array, count: NDArray[np.int64]
+) -> tuple[list[Regime], list[str]]:
+    """The parts of a regime from spectral matrices (w, c, 6, 6) of its windows and their path, and what is hidden in it."""
+    many = len(Y)
+    power = np.einsum("wcii->wci", Y).real
+    known = np.einsum("wcii->wci", Y_path).real + noise
+    parts = 1 if many < PARTS_FROM[0] else 2 if many < PARTS_FROM[1] else 3
+    g = loudness(power, known, count, parts)
+    C = matrices(Y, Y_path + noise[:, :, None] * np.eye(6), g)
+    floor = HIDDEN * power.mean(axis=0)
+    left = (power - known).mean(axis=0)
+    hidden = left < floor
+    # the likeliest matrices are those of the usual window; the mean power is that of all
+    size = np.sqrt(np.maximum(left, floor) / np.maximum(np.einsum("pcii->ci", C).real, 1e-3 * floor))
+    C = C * (size[:, :, None] * size[:, None, :])
+    out = []
+    for p in range(parts):
+        sigma, time = _swing(np.log(g[:, p]))
+        density = np.maximum(np.einsum("cii->ci", C[p]).real, 1e-6 * floor)
+        root = np.sqrt(density)
+        density = table(edges, density)
+        coherence = C[p] / (root[:, :, None] * root[:, None, :])
+        coherence[:, range(6), range(6)] = 1.0
+        # windows overlap by half, so half of them count; the loudness is one value a window
+        spread = np.sqrt((1.0 / count + np.expm1(4.0 * sigma**2)) / (0.5 * many))
+        out.append(
+            Regime(
+                REGIMES[k] + (f", part {p + 1}" if p else ""),
+                density,
+                _ends(0.5 * (coherence + np.conj(np.swapaxes(coherence, 1, 2)))),
+                swing_sigma=sigma,
+                swing_time=time,
+                density_sigma=_ends(np.repeat(spread[:, None], 6, axis=1)),
+                **ranges(k),
+            )
+        )
+    words = [
+        f"{axis_name(a)} {' and '.join(f'{x:.2g} to {y:.2g}' for x, y in _stretches(edges, hidden[:, a]))} Hz"
+        for a in range(6)
+        if hidden[:, a].any()
+    ]
+    return out, [f"{REGIMES[k]}, hidden by the path or the noise: {', '.join(words)}"] if words else []
+
+
+def table(edges: Array, density: Array) -> Array:
+    """Densities (c + 2, k) at the edges and middles of cells, straight in logarithms between, that have the mean densities (c, k) in the cells."""
+    centres = np.log(np.sqrt(edges[:-1] * edges[1:]))
+    at = np.concatenate([np.log(edges[:1]), centres, np.log(edges[-1:])])
+    u = (np.arange(16) + 0.5) / 16.0
+    f = edges[:-1, None] + np.diff(edges)[:, None] * u
+    out = density.copy()
+    for _ in range(8):
+        rows = np.log(_ends(out))
+        mean = np.stack([np.exp(np.interp(np.log(f), at, y)).mean(axis=1) for y in rows.T], axis=1)
+        out *= np.clip(density / mean, 0.5, 2.0) ** 0.7
+    return _ends(out)
+
+
+def _ends(x: Array) -> Array:
+    """A table at the middles of cells, its first and last row repeated at the outer edges."""
+    return np.concatenate([x[:1], x, x[-1:]])
+
+
+def loudness(power: Array, known: Array, count: NDArray[np.int64], parts: int) -> Array:
+    """How loud each part is in each window (w, parts), mean 1, from powers (w, c, 6) beside known ones.
+
+    Parts are spectra whose sum with own loudnesses explains the windows best: road and driving, engine and wind come and go each by itself.
+
+    Parameters
+    ----------
+    power, known : (w, c, 6) arrays
+    count : (c,) array
+        Ordinates of each cell.
+    parts : int
+
+    Notes
+    -----
+    Factorization by the Itakura-Saito divergence, which is the likelihood of Gaussian signals (Fevotte, Bertin and Durrieu 2009), by
+    multiplicative updates.
+    """
+    many, cells_, axes = power.shape
+    V, K = power.reshape(many, -1), known.reshape(many, -1)
+    weight = np.repeat(count, axes).astype(np.float64)
+    mean = np.maximum(V - K, HIDDEN * V).mean(axis=0)
+    # they begin as low, high and all
+    place = np.repeat(np.linspace(0.0, 1.0, cells_), axes)
+    shapes = [np.ones_like(place), 1.5 - place, 0.5 + place][:parts]
+    D = np.stack([mean * x for x in (shapes if parts != 2 else shapes[1:] + [0.5 + place])][:parts]) / parts
+    g = np.ones((many, parts))
+    for _ in range(ITERATIONS):
+        R = g @ D + K
+        g *= np.sqrt(((weight * V / R**2) @ D.T) / ((weight / R) @ D.T))
+        R = g @ D + K
+        D *= np.sqrt((g.T @ (V / R**2)) / (g.T @ (1.0 / R)))
+        scale = g.mean(axis=0)
+        g, D = np.maximum(g / scale, 1e-4), D * scale[:, None]
+    return np.asarray(g)
+
+
+def matrices(Y: Complex, known: Complex, g: Array) -> Complex:
+    """Spectral matrices (parts, c, 6, 6) of parts with loudnesses (w, parts) whose sum with known ones makes those (w, c, 6, 6) likeliest.
+
+    Parameters
+    ----------
+    Y, known : (w, c, 6, 6) complex arrays
+    g : (w, parts) array
+
+    Notes
+    -----
+    Expectation and maximization for sums of Gaussian vectors with loudnesses of their own (Duong, Vincent and Gribonval 2010, section IV).
+    """
+    whole = Y.mean(axis=0)
+    eye = np.eye(6)
+    diagonal = np.einsum("cii->ci", whole).real[:, :, None] * eye
+    C = np.repeat((0.9 * whole + 0.1 * diagonal)[None] / g.shape[1], g.shape[1], axis=0)
+    for _ in range(ITERATIONS // 2):
+        own = g.T[:, :, None, None, None] * C[:, None]
+        inverse = np.linalg.inv(own.sum(axis=0) + known + 1e-6 * diagonal)
+        new = []
+        for p in range(g.shape[1]):
+            W = own[p] @ inverse
+            felt = W @ Y @ np.conj(np.swapaxes(W, -1, -2)) + (eye - W) @ own[p]
+            new.append((felt / g[:, p, None, None, None]).mean(axis=0))
+        C = np.stack(new)
+        C = 0.5 * (C + np.conj(np.swapaxes(C, -1, -2)))
+    return np.asarray(C)
+
+
+def _stretches(edges: Array, inside: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    turns = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(np.int8), [0]]))).reshape(-1, 2)
+    return [(float(edges[a]), float(edges[b])) for a, b in turns]
+
+
+def _swing(logs: Array) -> tuple[float, float]:
+    """Standard deviation (nepers of amplitude) and time (s) of a loudness from its logarithms (w,) in windows half overlapping."""
+    logs = 0.5 * logs
+    low, high = np.quantile(logs, [0.1, 0.9])
+    y = np.clip(logs, low - 0.5 * (high - low), None)  # a part that is away is away, however far
+    sigma = float((high - low) / 2.563)
+    if sigma < 0.05 or y.size < 8:
+        return (min(sigma, LARGEST_SWING) if sigma >= 0.05 else 0.0), 5.0
+    y = y - y.mean()
+    # autocorrelation (1 + x) exp(-x), x = lag over time, two windows apart so that none overlap
+    r = float(np.mean(y[2:] * y[:-2]) / np.mean(y**2))
+    x = np.geomspace(WINDOW_S / SWINGS[1], WINDOW_S / SWINGS[0], 200)
+    x = float(x[np.argmin(np.abs((1.0 + x) * np.exp(-x) - r))])
+    # a window shows the mean over it, which swings less
+    u = np.linspace(0.0, 1.0, 100)
+    kept = 2.0 * float(np.mean((1.0 - u) * (1.0 + x * u) * np.exp(-x * u)))
+    return min(sigma / float(np.sqrt(kept)), LARGEST_SWING), WINDOW_S / x
+
+
+def ranges(k: int) -> dict[str, tuple[float, float]]:
+    """Speed, turn and climb of a regime of :data:`REGIMES`, as its file says them."""
+    inf = float("inf")
+    edges = (ROLLING[1], *SPEEDS, inf)
+    moving = {"speed": (ROLLING[1], inf), "turn": (0.0, BENDING[0])}
+    if k == 0:
+        return {"speed": (0.0, ROLLING[0])}
+    if k == 1:
+        return {"speed": (ROLLING[1], inf), "turn": (BENDING[1], inf)}
+    if k in (2, 3):
+        return moving | {"climb": (CLIMBING, inf) if k == 2 else (-inf, -CLIMBING)}
+    return moving | {"speed": (edges[k - 4], edges[k - 3]), "climb": (-CLIMBING, CLIMBING)}
