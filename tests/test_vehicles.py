@@ -134,7 +134,7 @@ def test_a_tilt_shows_gravity_and_an_arm_its_lever():
     """A slow pitch alone: stated specific force zero means that the body moves so that gravity is not felt; another place feels the rigid body."""
     w = 2.0 * np.pi * 0.5
     pitching = dynamics.shaken(straight(0.0, 60.0), lines(((0.0, 0.01, 0.0, 0.0, 0.0, 0.0), (0.0,) * 6), rate=0.5), 2)
-    t, x = felt(pitching, 100.0)
+    _, x = felt(pitching, 100.0)
     inside = slice(500, -500)
     assert np.abs(x[inside, 3]).max() < 1e-3 * G * 0.01 / w + 2e-5
     moved = felt(pitching, 100.0, mounting=emulate.Mounting((2.0, 0.0, 0.0)))[1]
@@ -264,7 +264,7 @@ def test_a_car_backs_out_and_waits():
     assert path.position(path.end)[:2] == pytest.approx([130.0, 80.0], rel=2e-3)
     stands = np.abs(ahead) < 1e-6
     assert stands[(t > 50.5) & (t < 52.5)].all()
-    with pytest.raises(InputError, match="in reverse gear -0.1 to -8"):
+    with pytest.raises(InputError, match=r"in reverse gear -0\.1 to -8"):
         route(replace(way, speed=np.array([8, -9, 8, 8, 8.0])), "car")
     with pytest.raises(InputError, match="would change by 90 deg on the spot"):
         route(replace(way, hover=np.array([0, 0, 0, 4, 0.0])), "car")
