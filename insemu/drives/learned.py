@@ -47,7 +47,7 @@ HIDDEN = 0.02
 #: Windows from which on a regime has two and three parts, each with a loudness of its own; steps of the climb to their likeliest sizes.
 PARTS_FROM, ITERATIONS = (14, 30), 60
 #: Time constants of a swing that windows of four seconds tell, s, and the largest swing, nepers: beyond, a few windows are all of the power.
-SWINGS, LARGEST_SWING = (3.0, 30.0), 0.55
+SWINGS, LARGEST_SWING = (3.0, 30.0), 0.8
 #: Speeds below which a vehicle stands and above which it moves, m/s, and turns below which it goes straight and above which it turns, rad/s: ranges
 #: have soft edges, and what is louder by twenty to forty decibels must not reach through them. The classes of windows end between.
 ROLLING, BENDING = (0.2, 1.5), (0.04, 0.11)
@@ -246,15 +246,15 @@ def _regime(
     size = np.sqrt(np.maximum(left, floor) / np.maximum(np.einsum("pcii->ci", C).real, 1e-3 * floor))
     C = C * (size[:, :, None] * size[:, None, :])
     out = []
-    for p in range(parts):
-        sigma, time = _swing(np.log(g[:, p]))
+    together, own = _swings(np.log(g))
+    for p, (sigma, time) in enumerate(own):
         density = np.maximum(np.einsum("cii->ci", C[p]).real, 1e-6 * floor)
         root = np.sqrt(density)
         density = table(edges, density)
         coherence = C[p] / (root[:, :, None] * root[:, None, :])
         coherence[:, range(6), range(6)] = 1.0
         # windows overlap by half, so half of them count; the loudness is one value a window
-        spread = np.sqrt((1.0 / count + np.expm1(4.0 * sigma**2)) / (0.5 * many))
+        spread = np.sqrt((1.0 / count + np.expm1(4.0 * (sigma**2 + together[0] ** 2))) / (0.5 * many))
         out.append(
             Regime(
                 REGIMES[k] + (f", part {p + 1}" if p else ""),
@@ -262,6 +262,8 @@ def _regime(
                 _ends(0.5 * (coherence + np.conj(np.swapaxes(coherence, 1, 2)))),
                 swing_sigma=sigma,
                 swing_time=time,
+                common_sigma=together[0],
+                common_time=together[1],
                 density_sigma=_ends(np.repeat(spread[:, None], 6, axis=1)),
                 **ranges(k),
             )
@@ -363,14 +365,28 @@ def _stretches(edges: Array, inside: NDArray[np.bool_]) -> list[tuple[float, flo
     return [(float(edges[a]), float(edges[b])) for a, b in turns]
 
 
-def _swing(logs: Array) -> tuple[float, float]:
-    """Standard deviation (nepers of amplitude) and time (s) of a loudness from its logarithms (w,) in windows half overlapping."""
-    logs = 0.5 * logs
-    low, high = np.quantile(logs, [0.1, 0.9])
-    y = np.clip(logs, low - 0.5 * (high - low), None)  # a part that is away is away, however far
-    sigma = float((high - low) / 2.563)
+def _swings(logs: Array) -> tuple[tuple[float, float], list[tuple[float, float]]]:
+    """What all parts swing together, and each by itself: standard deviation (nepers of amplitude) and time (s), of logarithms (w, parts) of loudness.
+
+    Windows overlap by half.
+    """
+    y = 0.5 * logs
+    low, middle, high = np.quantile(y, [0.1, 0.5, 0.9], axis=0)
+    y = np.clip(y, middle - 2.0 * (middle - low), middle + 2.0 * (high - middle)) - middle  # a part that is away is away, however far
+    parts = y.shape[1]
+    together = y.mean(axis=1)
+    if parts == 1:
+        return _slow(together, float(together.std())), [(0.0, 5.0)]
+    S = np.cov(y.T)
+    shared = max(0.0, float(S[~np.eye(parts, dtype=bool)].mean()))
+    own = [_slow(y[:, p] - together, float(np.sqrt(max(S[p, p] - shared, 0.0)))) for p in range(parts)]
+    return _slow(together, float(np.sqrt(shared))), own
+
+
+def _slow(y: Array, sigma: float) -> tuple[float, float]:
+    """Standard deviation and time of a slow process that shows this standard deviation in means over windows."""
     if sigma < 0.05 or y.size < 8:
-        return (min(sigma, LARGEST_SWING) if sigma >= 0.05 else 0.0), 5.0
+        return 0.0, 5.0
     y = y - y.mean()
     # autocorrelation (1 + x) exp(-x), x = lag over time, two windows apart so that none overlap
     r = float(np.mean(y[2:] * y[:-2]) / np.mean(y**2))

@@ -9,67 +9,36 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.compiled import njit
+from insemu.emulate.dynamics.blocks import STREAMS, Blocks, Mount
 from insemu.emulate.dynamics.files import MovingVehicle
 from insemu.emulate.dynamics.slip import SlipMotion
 from insemu.emulate.dynamics.slow import SlowProcess
 from insemu.emulate.dynamics.spectrum import Line, MotionSpectrum, weights
 from insemu.emulate.hover import plane_of
+from insemu.emulate.motion import smoothstep
 from insemu.emulate.path import Curve, SmoothPath
 from insemu.emulate.vehicle import vehicle as vehicle_of
-from insemu.errors import InputError
-from insemu.units import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 #: Knots per period of the highest frequency: the spline's images then stay below 1.2 per cent of the acceleration.
 KNOTS_PER_PERIOD = 4.0
 #: Periods of the lowest frequency in a hop from block to block, and least length of it in s.
 PERIODS, SHORTEST_HOP = 4.0, 8.0
-#: Time within which one regime passes into the next, s: displacements are large where they are slow, and a sudden share of one is a blow.
-CHANGE_S = 4.0
-#: Shares of the power below which a regime is not drawn.
-_NO_SHARE = 1e-6
+#: Share below which a regime is not drawn; up to ten times as much its level rises smoothly from nothing.
+_NO_SHARE = 1e-3
+#: What changes slowly (speed, attitude, levels) is asked for so often, Hz at least, and is cubic between; shares of regimes blend over so many s.
+_SLOW_HZ, _BLEND = 15.0, 1.0
 #: Blocks that are kept: 25 MB.
 _KEPT = 128
 #: Page of the knots just before the start of a path.
 FIRST_PAGE = -1
-_STREAMS = {"block": 0, "swing": 1, "wander": 2, "phase": 3, "slip": 4}
-
-
-@dataclass(frozen=True)
-class Mount:
-    """A mount that is not rigid: the IMU follows the body as a mass on a spring.
-
-    Parameters
-    ----------
-    frequency : float
-        Of its resonance, Hz.
-    damping : float
-        Share of the critical one.
-    """
-
-    frequency: float
-    damping: float = 0.1
-
-    def __post_init__(self) -> None:
-        if not (self.frequency > 0 and 0 < self.damping <= 2 and np.isfinite(self.frequency)):
-            raise InputError(
-                f"a mount of {self.frequency} Hz and damping {self.damping}, expected a positive frequency and a damping up to 2"
-            )
-
-    def response(self, f: Array) -> Complex:
-        """Motion of the IMU over that of the body (transmissibility) at frequencies (n,)."""
-        r = f / self.frequency
-        damped = 2j * self.damping * r
-        return np.asarray((1.0 + damped) / (1.0 - r * r + damped))
 
 
 class BodyMotion:
@@ -95,82 +64,48 @@ class BodyMotion:
         mount: Mount | None = None,
         slip: SlipMotion | None = None,
     ) -> None:
-        self.path, self.spectrum, self.seed, self.mount, self.slip = path, spectrum, seed, mount, slip
+        self.path, self.spectrum, self.slip = path, spectrum, slip
         self.rate = KNOTS_PER_PERIOD * spectrum.highest
         hop = max(SHORTEST_HOP, PERIODS / float(spectrum.frequencies[0]))
         self.hop = 1 << int(np.ceil(np.log2(hop * self.rate)))
+        self.every = 1 << max(0, int(np.log2(self.rate / _SLOW_HZ)))
         self.start = path.start
+        self.blocks = Blocks(spectrum, self.hop, self.rate, seed, mount)
         self._pages: OrderedDict[int, Array] = OrderedDict()
-        self._blocks: OrderedDict[int, dict[int, Array]] = OrderedDict()
         self._periods: dict[int, Array] = {}
         self._noses: Array | None = None
-        self._swings = [
-            SlowProcess(r.swing_sigma, r.swing_time, (seed, _STREAMS["swing"], k))
-            for k, r in enumerate(spectrum.regimes)
-        ]
+
+        # regimes that swing alike swing together, parts of one by themselves; number -1 is what its parts have in common
+        swings = {(r.swing_sigma, r.swing_time, part) for r, part in zip(spectrum.regimes, spectrum.parts, strict=True)}
+        swings |= {(r.common_sigma, r.common_time, -1) for r in spectrum.regimes}
+        self._swings = {
+            x: SlowProcess(*x[:2], (seed, STREAMS["swing"], *([x[2] + 2] if x[2] else []))) for x in sorted(swings)
+        }
         self._wanders = [
-            SlowProcess(x.wander_sigma, x.wander_time, (seed, _STREAMS["wander"], k))
+            SlowProcess(x.wander_sigma, x.wander_time, (seed, STREAMS["wander"], k))
             for k, x in enumerate(spectrum.lines)
         ]
-        rng = np.random.default_rng((seed, _STREAMS["phase"]))
+        rng = np.random.default_rng((seed, STREAMS["phase"]))
         self._phases = rng.uniform(0.0, 2.0 * np.pi, len(spectrum.lines))
 
     def __getstate__(self) -> dict[str, Any]:
         """For another process: what was drawn is drawn there again."""
-        return self.__dict__ | {"_pages": OrderedDict(), "_blocks": OrderedDict()}
+        return self.__dict__ | {"_pages": OrderedDict()}
 
-    # -- one block ------------------------------------------------------------------------------------------------------------------
+    @property
+    def _last_page(self) -> int:
+        return int((self.path.end - self.start) * self.rate) // self.hop + 1
 
-    @cached_property
-    def _frequencies(self) -> Array:
-        return np.asarray(np.fft.rfftfreq(2 * self.hop, 1.0 / self.rate), dtype=float)
+    def _slowly(self, number: int, more: int = 0) -> Array:
+        """Times of the slow samples of a page, one before it and two (and ``more`` on both sides) behind it."""
+        first, count = number * (self.hop // self.every), self.hop // self.every
+        return np.asarray(self.start + np.arange(first - 1 - more, first + count + 2 + more) * (self.every / self.rate))
 
-    def _to_spline(self, f: Array) -> tuple[Complex, Complex]:
-        """What makes coefficients of turns of rates, and of displacements of accelerations, at frequencies (k,)."""
-        w = 2.0 * np.pi * np.maximum(f, 1e-9)
-        spline = np.sinc(f / self.rate) ** 6
-        mount = np.ones(f.shape) if self.mount is None else self.mount.response(f)
-        return np.asarray(1.0 / (1j * w * spline)), np.asarray(-mount / (w * w * spline))
-
-    def _moved(self, felt: Complex, f: Array) -> Complex:
-        """Coefficients (k, 6) of displacement and turn in body axes of rates and specific forces (k, 6)."""
-        angle, place = self._to_spline(f)
-        tilt = felt[:, :3] / (2j * np.pi * np.maximum(f, 1e-9))[:, None]
-        force = felt[:, 3:].copy()
-        force[:, 0] -= STANDARD_GRAVITY * tilt[:, 1]
-        force[:, 1] += STANDARD_GRAVITY * tilt[:, 0]
-        return np.concatenate([force * place[:, None], felt[:, :3] * angle[:, None]], axis=1)
-
-    @cached_property
-    def _factors(self) -> list[Complex]:
-        """From white numbers to coefficients, (bins, 6, 6) of every regime, in the band of the table."""
-        f = self._frequencies[self._band]
-        scale = np.sqrt(0.5 * 2 * self.hop * self.rate)  # of one-sided densities
-        out = []
-        for k in range(len(self.spectrum.regimes)):
-            factor = self.spectrum.factors(k, f) * scale
-            out.append(np.stack([self._moved(factor[:, :, j], f) for j in range(6)], axis=2))
+    def _finely(self, slow: Array) -> Array:
+        """Rows (hop, k) at the knots of a page, from slow samples (n, k)."""
+        out = np.empty((self.hop, slow.shape[1]))
+        _cubic(np.ascontiguousarray(slow), self.every, out)
         return out
-
-    @cached_property
-    def _band(self) -> slice:
-        low, high = np.searchsorted(self._frequencies, self.spectrum.frequencies[[0, -1]])
-        return slice(max(int(low), 1), int(high) + 1)
-
-    def _block(self, number: int, regime: int) -> Array:
-        """Coefficients (2 hop, 6) in body axes of one regime over one block, windowed."""
-        held = self._blocks.setdefault(number, {})
-        while len(self._blocks) > 3:
-            self._blocks.popitem(last=False)
-        if regime not in held:
-            factor = self._factors[regime]
-            rng = np.random.default_rng((self.seed, _STREAMS["block"], regime, number - 2 * FIRST_PAGE))
-            white = rng.standard_normal((len(factor), 6, 2)) @ np.array([1.0, 1j]) / np.sqrt(2.0)
-            bins = np.zeros((self.hop + 1, 6), complex)
-            bins[self._band] = np.matmul(factor, white[:, :, None])[:, :, 0]
-            window = np.sin(np.pi * (np.arange(2 * self.hop) + 0.5) / (2 * self.hop))
-            held[regime] = np.fft.irfft(bins, 2 * self.hop, axis=0) * window[:, None]
-        return held[regime]
 
     # -- coefficients in map axes -------------------------------------------------------------------------------------------------------
 
@@ -178,52 +113,50 @@ class BodyMotion:
         """Coefficients (hop, 6) of the knots from ``number * hop`` on: metres north, east, up and rad of roll, pitch, heading."""
         if number in self._pages:
             return self._pages[number]
-        t = self._times(number)
+        t = self._slowly(number)
         inside = np.clip(t, self.path.start, self.path.end)
-        velocity, rpy = self.path.position(inside, 1), self.path.attitude(inside)
-        turn = self.path.attitude(inside, 1)[:, 2]
-        speed = np.hypot(velocity[:, 0], velocity[:, 1])
-        shares = self._shares(t)
+        rpy, shares = self.path.attitude(inside), self._shares(number)
         body = np.zeros((self.hop, 6))
-        for k, swing in enumerate(self._swings):
-            if shares[:, k].max() < _NO_SHARE:
-                continue
-            level = np.sqrt(shares[:, k])
-            if swing.sigma > 0.0:
-                level = level * np.exp(swing(t) - swing.sigma**2)
-            body += level[:, None] * (self._block(number - 1, k)[self.hop :] + self._block(number, k)[: self.hop])
+        drawn = [k for k in range(shares.shape[1]) if shares[:, k].max() > _NO_SHARE]
+        if drawn:
+            levels = np.empty((t.size, len(drawn)))
+            swung = {x: np.exp(process(t) - process.sigma**2) for x, process in self._swings.items()}
+            for column, k in enumerate(drawn):
+                share, r = shares[:, k], self.spectrum.regimes[k]
+                rises = smoothstep((share - _NO_SHARE) / (9.0 * _NO_SHARE))
+                own = swung[r.swing_sigma, r.swing_time, self.spectrum.parts[k]]
+                levels[:, column] = share * rises * own * swung[r.common_sigma, r.common_time, -1]
+            levels = self._finely(levels)
+            for column, k in enumerate(drawn):
+                _add_noise(body, levels[:, column], self.blocks.half(number - 1, k, 1), self.blocks.half(number, k, 0))
         for k, line in enumerate(self.spectrum.lines):
-            body += self._line(line, k, number, t, speed, shares)
-        slipped = self._slipped(number, t, inside, velocity, rpy, turn)
+            self._add(line, k, number, shares, body)
+        slipped = self._slipped(number, t, inside, rpy)
+        attitude = self._finely(np.hstack([rpy + slipped, slipped]))
         out = np.empty_like(body)
-        _into_map(rpy + slipped, body, out)
-        out[:, 3:] += slipped
+        _into_map(attitude, body, out)
         self._pages[number] = out
         while len(self._pages) > _KEPT:
             self._pages.popitem(last=False)
         return out
 
-    def _shares(self, t: Array) -> Array:
-        """Shares of the regimes (n, regimes) at times on a uniform grid, changing within :data:`CHANGE_S`."""
-        window = np.hanning(23)[1:-1]
-        step = CHANGE_S / (window.size + 1)
-        grid = np.arange(t[0] - CHANGE_S, t[-1] + CHANGE_S + step, step)
-        inside = np.clip(grid, self.path.start, self.path.end)
-        velocity, turn = self.path.position(inside, 1), self.path.attitude(inside, 1)[:, 2]
-        speed = np.hypot(velocity[:, 0], velocity[:, 1])
-        now = weights(self.spectrum.regimes, speed, turn, velocity[:, 2])
-        smooth = [np.convolve(column, window / window.sum(), "same") for column in now.T]
-        return np.stack([np.interp(t, grid, column) for column in smooth], axis=1)
+    def _shares(self, number: int) -> Array:
+        """Shares (n, regimes) at the slow samples of a page, blended over time."""
+        more = int(np.ceil(_BLEND * self.rate / self.every))
+        t = np.clip(self._slowly(number, more), self.path.start, self.path.end)
+        velocity, turn = self.path.position(t, 1), self.path.attitude(t, 1)[:, 2]
+        shares = weights(self.spectrum.regimes, np.hypot(velocity[:, 0], velocity[:, 1]), turn, velocity[:, 2])
+        window = np.sin(np.pi * (np.arange(2 * more + 1) + 1.0) / (2 * more + 2)) ** 2
+        window /= window.sum()
+        return np.stack([np.convolve(s, window, mode="valid") for s in shares.T], axis=1)
 
-    def _slipped(self, number: int, t: Array, inside: Array, velocity: Array, rpy: Array, turn: Array) -> Array:
-        """Changes of roll, pitch and heading (hop, 3) at the knots of a page."""
+    def _slipped(self, number: int, t: Array, inside: Array, rpy: Array) -> Array:
+        """Changes of roll, pitch and heading at the slow samples of a page."""
         if self.slip is None:
             return np.zeros((t.size, 3))
-        if self.slip.slip.nose == "course":
-            last = 0.0
-        else:
-            last = self._nose()[number - FIRST_PAGE]
-        return self.slip.turned(t, self.path.position(inside), velocity, rpy, turn, last)[0]
+        last = 0.0 if self.slip.slip.nose == "course" else self._nose()[number - FIRST_PAGE]
+        velocity, turn = self.path.position(inside, 1), self.path.attitude(inside, 1)[:, 2]
+        return self.slip.turned(t, self.path.position(inside), velocity, rpy, turn, last)
 
     def _nose(self) -> Array:
         """Where a free nose points just before every page (rad, counted through whole turns)."""
@@ -231,59 +164,54 @@ class BodyMotion:
             last, found = 0.0, [0.0]
             assert self.slip is not None
             for number in range(FIRST_PAGE, self._last_page + 1):
-                t = self._times(number)[:: max(1, int(self.rate / 20.0))]
-                inside = np.clip(t, self.path.start, self.path.end)
-                rpy, velocity = self.path.attitude(inside), self.path.position(inside, 1)
-                last = self.slip.turned(t, self.path.position(inside), velocity, rpy, np.zeros(t.size), last)[1]
+                t = np.clip(self._slowly(number), self.path.start, self.path.end)
+                free = self.slip.free(self._slowly(number), self.path.position(t), self.path.attitude(t)[:, 2], last)
+                last = float(free[self.hop // self.every - 1])
                 found.append(last)
             self._noses = np.array(found)
         return self._noses
 
-    @property
-    def _last_page(self) -> int:
-        return int((self.path.end - self.start) * self.rate) // self.hop + 1
-
-    def _line(self, line: Line, k: int, number: int, t: Array, speed: Array, shares: Array) -> Array:
-        off = self._wanders[k](t)
-        if line.rate is not None:
-            rate = line.order * line.rate * (1.0 + off)
-            turned = line.order * line.rate * (t - self.start + self._wanders[k].integral(t))
-        else:
-            rate = line.order * (line.per_metre or 0.0) * speed * (1.0 + off)
-            turned = self._turned(k)[number - FIRST_PAGE] + np.concatenate([[0.0], np.cumsum(rate[:-1])]) / self.rate
-        low, high = float(self.spectrum.frequencies[0]), self.rate / KNOTS_PER_PERIOD
-        there = np.clip(rate / low - 1.0, 0.0, 1.0) * np.clip(3.0 - 2.0 * rate / high, 0.0, 1.0)
+    def _add(self, line: Line, k: int, number: int, shares: Array, body: Array) -> None:
+        """Add a line to the coefficients of a page."""
+        t, wander = self._slowly(number), self._wanders[k]
         amplitude = np.zeros((t.size, 6))
         for j, regime in enumerate(self.spectrum.regimes):
             own = line.amplitude.get(regime.name, line.amplitude.get("*"))
             if own is not None:
                 amplitude += shares[:, j, None] * np.asarray(own)
-        if not (there.any() and amplitude.any()):
-            return np.zeros((t.size, 6))
-        phase = 2.0 * np.pi * turned + self._phases[k]
-        felt = amplitude * there[:, None] * np.exp(1j * (phase[:, None] + np.asarray(line.phase)))
-        return np.asarray(self._moved(felt, np.clip(rate, low, high)).real)
+        if line.rate is not None:
+            rate = line.order * line.rate * (1.0 + wander(t))
+            turned = self._finely(line.order * line.rate * wander.integral(t)[:, None])[:, 0]
+            turned += line.order * line.rate / self.rate * (number * self.hop + np.arange(self.hop))
+        else:
+            rate = self._followed(k, number)
+            fine = self._finely(rate[:, None])[:, 0]
+            turned = self._turned(k)[number - FIRST_PAGE] + np.concatenate([[0.0], np.cumsum(fine[:-1])]) / self.rate
+        low, high = float(self.spectrum.frequencies[0]), self.spectrum.highest
+        amplitude *= (smoothstep(rate / low - 1.0) * smoothstep(3.0 - 2.0 * rate / high))[:, None]
+        if amplitude.any():
+            felt = amplitude * np.exp(1j * (self._phases[k] + np.asarray(line.phase)))
+            moved = self.blocks.moved(felt, np.clip(rate, low, 1.5 * high))
+            _add_line(body, turned, self._finely(np.hstack([moved.real, moved.imag])))
+
+    def _followed(self, k: int, number: int) -> Array:
+        """Periods per s of a line that follows the way, at the slow samples of a page."""
+        line, t = self.spectrum.lines[k], self._slowly(number)
+        velocity = self.path.position(np.clip(t, self.path.start, self.path.end), 1)
+        return np.asarray(
+            line.order
+            * (line.per_metre or 0.0)
+            * np.hypot(velocity[:, 0], velocity[:, 1])
+            * (1.0 + self._wanders[k](t))
+        )
 
     def _turned(self, k: int) -> Array:
         """Periods (pages,) of a line that follows the way, at the first knot of every page."""
         if k not in self._periods:
-            line, made = self.spectrum.lines[k], []
-            for number in range(FIRST_PAGE, self._last_page + 1):
-                t = self._times(number)
-                velocity = self.path.position(np.clip(t, self.path.start, self.path.end), 1)
-                speed = np.hypot(velocity[:, 0], velocity[:, 1])
-                made.append(
-                    line.order
-                    * (line.per_metre or 0.0)
-                    * float((speed * (1.0 + self._wanders[k](t))).sum())
-                    / self.rate
-                )
+            pages = range(FIRST_PAGE, self._last_page + 1)
+            made = [float(self._finely(self._followed(k, number)[:, None]).sum()) / self.rate for number in pages]
             self._periods[k] = np.concatenate([[0.0], np.cumsum(made)])
         return self._periods[k]
-
-    def _times(self, number: int) -> Array:
-        """Of the knots of a page, s."""
-        return np.asarray(self.start + np.arange(number * self.hop, (number + 1) * self.hop) / self.rate)
 
     # -- the curve ---------------------------------------------------------------------------------------------------------------------
 
@@ -302,6 +230,36 @@ class BodyMotion:
             _spline(knot[rows] - 2 - number * self.hop, place[rows] - knot[rows], np.ascontiguousarray(held), nu, part)
             out[rows] = part * self.rate**nu
         return out[0] if t.ndim == 0 else out
+
+
+@njit(cache=True, nogil=True)
+def _cubic(slow: Array, every: int, out: Array) -> None:
+    """Rows between slow ones, cubic with the slopes of neighbours; the first row out is the second of the slow ones."""
+    for i in range(len(out)):
+        k, u = i // every, (i % every) / every
+        a = u * (-0.5 + u * (1.0 - 0.5 * u))
+        b = 1.0 + u * u * (-2.5 + 1.5 * u)
+        c = u * (0.5 + u * (2.0 - 1.5 * u))
+        d = u * u * (-0.5 + 0.5 * u)
+        for j in range(out.shape[1]):
+            out[i, j] = a * slow[k, j] + b * slow[k + 1, j] + c * slow[k + 2, j] + d * slow[k + 3, j]
+
+
+@njit(cache=True, nogil=True)
+def _add_noise(body: Array, level: Array, late: Array, early: Array) -> None:
+    """Add the second half of one block and the first of the next, (6, n) each."""
+    for i in range(len(body)):
+        for j in range(6):
+            body[i, j] += level[i] * (late[j, i] + early[j, i])
+
+
+@njit(cache=True, nogil=True)
+def _add_line(body: Array, turned: Array, moved: Array) -> None:
+    """Add a line of complex amplitudes (n, 12: real and imaginary parts) at so many periods."""
+    for i in range(len(body)):
+        c, s = np.cos(2.0 * np.pi * turned[i]), np.sin(2.0 * np.pi * turned[i])
+        for j in range(6):
+            body[i, j] += moved[i, j] * c - moved[i, 6 + j] * s
 
 
 @njit(cache=True, nogil=True)
@@ -333,7 +291,7 @@ def _spline(first: NDArray[np.int64], u: Array, c: Array, nu: int, out: Array) -
 
 @njit(cache=True, nogil=True)
 def _into_map(rpy: Array, body: Array, out: Array) -> None:
-    """Displacements and small turns in body axes to metres north, east, up and changes of Euler angles."""
+    """Displacements and small turns in body axes to metres north, east, up and changes of Euler angles, to which the last columns of ``rpy`` add."""
     for i in range(len(rpy)):
         sr, cr = np.sin(rpy[i, 0]), np.cos(rpy[i, 0])
         sp, cp = np.sin(rpy[i, 1]), np.cos(rpy[i, 1])
@@ -343,7 +301,8 @@ def _into_map(rpy: Array, body: Array, out: Array) -> None:
         ahead = cp * x + sp * down
         out[i, 0], out[i, 1], out[i, 2] = ch * ahead - sh * across, sh * ahead + ch * across, sp * x - cp * down
         across, down = cr * body[i, 4] - sr * body[i, 5], sr * body[i, 4] + cr * body[i, 5]
-        out[i, 3], out[i, 4], out[i, 5] = body[i, 3] + down * sp / cp, across, down / cp
+        out[i, 3] = body[i, 3] + down * sp / cp + rpy[i, 3]
+        out[i, 4], out[i, 5] = across + rpy[i, 4], down / cp + rpy[i, 5]
 
 
 @dataclass(frozen=True)
@@ -384,7 +343,7 @@ class Moving:
         if slip.target is not None:
             place = plane_of(np.array([path.origin, [*slip.target, path.origin[2]]]))[1, :2]
         kind = vehicle_of(self.vehicle.kind)
-        moved = None if slip.none else SlipMotion(slip, kind, (self.seed, _STREAMS["slip"]), place)
+        moved = None if slip.none else SlipMotion(slip, kind, (self.seed, STREAMS["slip"]), place)
         return shaken(path, self.vehicle.spectrum, self.seed, self.mount, moved)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.emulate.dynamics.slow import SlowProcess
+from insemu.emulate.motion import smoothstep
 from insemu.emulate.vehicle import Vehicle
 from insemu.errors import InputError
 from insemu.units import STANDARD_GRAVITY as G
@@ -120,10 +121,8 @@ class SlipMotion:
         c, s = np.cos(towards), np.sin(towards)
         return np.asarray(speed * np.stack([c * along - s * across, s * along + c * across], axis=1))
 
-    def turned(
-        self, t: Array, where: Array, velocity: Array, attitude: Array, turn: Array, last: float
-    ) -> tuple[Array, float]:
-        """The changes at times on a uniform grid, and the last one of the heading, from which the next stretch goes on.
+    def turned(self, t: Array, where: Array, velocity: Array, attitude: Array, turn: Array, last: float) -> Array:
+        """The changes (n, 3) at times on a uniform grid.
 
         Parameters
         ----------
@@ -133,7 +132,7 @@ class SlipMotion:
         turn : (n,) array
             Rate of the path's heading, rad/s.
         last : float
-            Change of the heading before, rad.
+            What a free nose did just before, rad.
         """
         s, heading = self.slip, attitude[:, 2]
         speed = np.hypot(velocity[:, 0], velocity[:, 1])
@@ -142,7 +141,7 @@ class SlipMotion:
         if self.vehicle.lean is None:  # it flies
             high = np.clip(where[:, 2] / _TAKE_OFF, 0.0, 1.0)
             fast = np.clip(speed / max(_CARRIED * self.vehicle.min_speed, 3.0) - 0.5, 0.0, 1.0)
-            moving = np.maximum(_smooth(high), _smooth(fast))
+            moving = np.maximum(smoothstep(high), smoothstep(fast))
         change = self._random(t) * moving
         change += s.compliance * turn * ahead - s.axle * turn * ahead / (ahead**2 + 1.0)
         tilt = np.zeros((t.size, 2))
@@ -161,18 +160,25 @@ class SlipMotion:
                 c, n = np.cos(heading), np.sin(heading)
                 angle = np.arctan2(c * through[:, 1] - n * through[:, 0], c * through[:, 0] + n * through[:, 1])
                 ratio = np.hypot(flow[:, 0], flow[:, 1]) / np.maximum(speed, 1e-3)
-                change += angle * moving * _smooth(np.clip((1.2 - ratio) / 0.4, 0.0, 1.0))
-        free = self._free(t, where, heading)
-        if free is not None:
-            free = np.unwrap(np.concatenate([[last], free]))[1:]
-            change = change + free
-            last = float(free[-1])
-        return self._attitude(attitude, change, tilt), last
+                change += angle * moving * smoothstep(np.clip((1.2 - ratio) / 0.4, 0.0, 1.0))
+        if s.nose != "course":
+            change = change + self.free(t, where, heading, last)
+        return self._attitude(attitude, change, tilt)
 
-    def _free(self, t: Array, where: Array, heading: Array) -> Array | None:
-        """What a free nose does instead of following the course, rad, to whole turns."""
-        if self.slip.nose == "course":
-            return None
+    def free(self, t: Array, where: Array, heading: Array, last: float) -> Array:
+        """What a free nose does instead of following the course, rad, counted through whole turns from ``last`` on.
+
+        Parameters
+        ----------
+        t : (n,) array
+        where : (n, 3) array
+        heading : (n,) array
+            Of the path, rad.
+        last : float
+        """
+        return np.unwrap(np.concatenate([[last], self._free(t, where, heading)]))[1:]
+
+    def _free(self, t: Array, where: Array, heading: Array) -> Array:
         if self.slip.nose == "wandering":
             return self._wander(t)
         if self.slip.nose == "turning":
@@ -194,7 +200,3 @@ class SlipMotion:
         c, s = np.cos(change), np.sin(change)
         x, y = c * x + s * y, c * y - s * x
         return np.stack([-np.arcsin(y) - attitude[:, 0], np.arctan2(x, z) - attitude[:, 1], change], axis=1)
-
-
-def _smooth(u: Array) -> Array:
-    return np.asarray(u**3 * (10.0 + u * (-15.0 + 6.0 * u)))
