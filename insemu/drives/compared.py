@@ -19,14 +19,14 @@ from insemu.units import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
-#: Folds and how often they are drawn; blocks of time of a drive, and the shortest of them in windows.
-FOLDS, REPEATS, BLOCKS, BLOCK = 5, 3, 20, 3
+#: Folds and how often they are drawn; blocks of time of a drive; number of the first block of the second one.
+FOLDS, REPEATS, BLOCKS, SECOND = 5, 3, 20, 1000
 #: Trees, their leaves, least windows in a leaf and step: few windows bear small trees only.
 TREES: dict[str, Any] = {"max_iter": 60, "max_leaf_nodes": 8, "min_samples_leaf": 8, "learning_rate": 0.1, "early_stopping": False}
 #: Levels of a feature that are held apart.
 RANKS = 64
 #: Resampled sets of blocks for the interval, and its level.
-RESAMPLED, LEVEL = 1000, 0.95
+RESAMPLED, LEVEL = 400, 0.95
 #: Fewest windows of each drive in a regime that is compared; bands are judged where it lasts so long, s.
 LEAST, JUDGED_S = 2, 30.0
 #: Bands of a regime are alike within so much, dB.
@@ -181,7 +181,7 @@ def compare_drives(recorded: Windows, emulated: Windows, *, seed: int = 1, shown
     label = np.repeat([0, 1], [len(recorded.t), len(emulated.t)])
     regime = np.concatenate([recorded.regime, emulated.regime])
     weight = _weights(regime, label)
-    block = np.concatenate([_blocks(len(recorded.t)), _blocks(len(emulated.t)) + 10_000])
+    block = np.concatenate([_blocks(len(recorded.t)), _blocks(len(emulated.t)) + SECOND])
     areas = [
         _area(x, label, weight, block, rng) for x in (logs, np.concatenate([logs, more], axis=1))
     ]
@@ -195,8 +195,7 @@ def _logs(w: Windows) -> Array:
 
 def _blocks(count: int) -> NDArray[np.int64]:
     """Block of time of every window."""
-    many = max(FOLDS, min(BLOCKS, count // BLOCK))
-    return np.arange(count) * many // max(count, 1)
+    return np.arange(count) * BLOCKS // max(count, 1)
 
 
 def _weights(regime: NDArray[np.int64], label: NDArray[np.int64]) -> Array:
@@ -276,8 +275,8 @@ def _area(x: Array, label: NDArray[np.int64], weight: Array, block: NDArray[np.i
     blocks = np.unique(block)
     with threadpool_limits(limits=1):  # trees on few windows: threads would wait for each other
         for repeat in range(REPEATS):
-            fold = dict(zip(blocks, np.concatenate([_folds(blocks[blocks < 10_000], rng), _folds(blocks[blocks >= 10_000], rng)]), strict=True))
-            mine = np.array([fold[k] for k in block])
+            # windows of both at the same place of a road go together: nothing is learned of one from the other
+            mine = (rng.permutation(BLOCKS) % FOLDS)[block % SECOND]
             for k in range(FOLDS):
                 seen = mine != k
                 trees = make(**TREES, random_state=repeat).fit(x[seen], label[seen], sample_weight=weight[seen])
@@ -286,15 +285,11 @@ def _area(x: Array, label: NDArray[np.int64], weight: Array, block: NDArray[np.i
     drawn = []
     for _ in range(RESAMPLED):
         count = np.zeros(blocks.size)
-        for half in (blocks < 10_000, blocks >= 10_000):
+        for half in (blocks < SECOND, blocks >= SECOND):
             count[half] = rng.multinomial(half.sum(), np.full(half.sum(), 1.0 / half.sum()))
         drawn.append(area_under(scores, label, weight * count[np.searchsorted(blocks, block)]))
     low, high = np.quantile(drawn, [0.5 * (1.0 - LEVEL), 0.5 * (1.0 + LEVEL)])
     return Area(value, float(low), float(high))
-
-
-def _folds(blocks: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:
-    return np.asarray(rng.permutation(blocks.size) % FOLDS)
 
 
 def area_under(score: Array, label: NDArray[np.int64], weight: Array) -> float:

@@ -7,7 +7,7 @@ holding the course against the gyroscope, and the jerk density with which it cha
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -18,7 +18,6 @@ from insemu.drives.sideslip import Sideslip, sideslip_of
 from insemu.drives.windows import (
     CLIMBING,
     REGIMES,
-    SPEEDS,
     USABLE,
     WINDOW_S,
     Signals,
@@ -47,7 +46,9 @@ HIDDEN = 0.02
 #: Windows from which on a regime has two and three parts, each with a loudness of its own; steps of the climb to their likeliest sizes.
 PARTS_FROM, ITERATIONS = (14, 30), 60
 #: Time constants of a swing that windows of four seconds tell, s, and the largest swing, nepers: beyond, a few windows are all of the power.
-SWINGS, LARGEST_SWING = (3.0, 30.0), 0.55
+SWINGS, LARGEST_SWING = (3.0, 30.0), 0.8
+#: Windows in a class of speeds, and its least width, m/s: spectra follow the speed, by wheels, shafts and the lengths of waves of a road.
+CLASS, NARROWEST = 30, 1.5
 #: Speeds below which a vehicle stands and above which it moves, m/s, and turns below which it goes straight and above which it turns, rad/s: ranges
 #: have soft edges, and what is louder by twenty to forty decibels must not reach through them. The classes of windows end between.
 ROLLING, BENDING = (0.2, 1.5), (0.04, 0.11)
@@ -123,7 +124,8 @@ def learn_vehicle(
     if recording.imu.kind != "sample":  # what averages over an interval shows less than there is
         loss = np.sinc(f * s.dt)
         z, z_path, noise = z / loss[:, None], z_path / loss[:, None], noise / loss[:, None] ** 2
-    regime = regime_of(*s.motion(s.t[first] + 0.5 * WINDOW_S))
+    motion = s.motion(s.t[first] + 0.5 * WINDOW_S)
+    regime = regime_of(*motion)
     edges = cells(float(f[1]), USABLE * 0.5 / s.dt)
     inside = [(f >= low - 0.25 * f[1]) & (f < high - 0.25 * f[1]) for low, high in pairwise(edges)]
     count = np.array([i.sum() for i in inside])
@@ -133,20 +135,19 @@ def learn_vehicle(
     quiet = np.stack([noise[i].mean(axis=0) for i in inside])
     found: list[Regime] = []
     seconds: dict[str, float] = {}
-    for k, word in enumerate(REGIMES):
-        rows = regime == k
-        if not rows.any():
-            continue
+    for word, rows, where in classes(regime, motion[0]):
         if rows.sum() < FEWEST:
             unknown.append(f"{word}: {0.5 * WINDOW_S * rows.sum():.0f} s are too few, the nearest regime stands for it")
             continue
         seconds[word] = float(0.5 * WINDOW_S * rows.sum())
-        made, hidden = _regime(k, edges, Y[rows], Y_path[rows], quiet, count)
+        made, hidden = _regime(word, where, edges, Y[rows], Y_path[rows], quiet, count)
         found += made
         unknown += hidden
     if not found:
         raise InputError("is too short to tell how its vehicle moves in any regime", where=recording.source)
-    missing = [word for k, word in enumerate(REGIMES) if not (regime == k).any()]
+    missing = [word for k, word in enumerate(REGIMES[:4]) if not (regime == k).any()]
+    fastest = float(motion[0].max())
+    unknown.append(f"above {fastest:.0f} m/s it was not seen, so it is taken to move as there")
     if missing:
         unknown.append(f"not seen, so taken as the nearest regime: {', '.join(missing)}")
     slip = sideslip_of(s)
@@ -229,8 +230,42 @@ def _noise(s: Signals, models: Mapping[str, NoiseModel] | None, f: Array) -> tup
     return np.tile(level, (f.size, 1)), words
 
 
+def classes(regime: NDArray[np.int64], speed: Array) -> Iterator[tuple[str, NDArray[np.bool_], dict[str, tuple[float, float]]]]:
+    """Regimes with their windows and ranges: standing, turning, climbing, descending, and speeds in classes with as many windows each as tell it.
+
+    Parameters
+    ----------
+    regime : (w,) array
+        Index into :data:`insemu.drives.windows.REGIMES`.
+    speed : (w,) array
+        m/s.
+    """
+    inf = float("inf")
+    rolling = {"speed": (ROLLING[1], inf)}
+    straight = {"turn": (0.0, BENDING[0])}
+    special: list[dict[str, tuple[float, float]]] = [
+        {"speed": (0.0, ROLLING[0])},
+        rolling | {"turn": (BENDING[1], inf)},
+        rolling | straight | {"climb": (CLIMBING, inf)},
+        rolling | straight | {"climb": (-inf, -CLIMBING)},
+    ]
+    for k, where in enumerate(special):
+        if (rows := regime == k).any():
+            yield REGIMES[k], rows, where
+    level = regime >= len(special)
+    if not level.any():
+        return
+    edges = [0.0]
+    for x in np.quantile(speed[level], np.arange(1, level.sum() // CLASS) / (level.sum() // CLASS)) if level.sum() > CLASS else []:
+        if x - edges[-1] > NARROWEST and speed[level].max() - x > 0.5 * NARROWEST:
+            edges.append(float(x))
+    for low, high in pairwise([*edges, inf]):
+        word = f"{low:.1f} to {high:.1f} m/s" if high < inf else f"above {low:.1f} m/s"
+        yield word, level & (speed >= low) & (speed < high), {"speed": (max(low, ROLLING[1]), high), "climb": (-CLIMBING, CLIMBING)} | straight
+
+
 def _regime(
-    k: int, edges: Array, Y: Complex, Y_path: Complex, noise: Array, count: NDArray[np.int64]
+    name: str, where: Mapping[str, tuple[float, float]], edges: Array, Y: Complex, Y_path: Complex, noise: Array, count: NDArray[np.int64]
 ) -> tuple[list[Regime], list[str]]:
     """The parts of a regime from spectral matrices (w, c, 6, 6) of its windows and their path, and what is hidden in it."""
     many = len(Y)
@@ -246,24 +281,26 @@ def _regime(
     size = np.sqrt(np.maximum(left, floor) / np.maximum(np.einsum("pcii->ci", C).real, 1e-3 * floor))
     C = C * (size[:, :, None] * size[:, None, :])
     out = []
-    for p in range(parts):
-        sigma, time = _swing(np.log(g[:, p]))
+    together, own = _swings(np.log(g))
+    for p, (sigma, time) in enumerate(own):
         density = np.maximum(np.einsum("cii->ci", C[p]).real, 1e-6 * floor)
         root = np.sqrt(density)
         density = table(edges, density)
         coherence = C[p] / (root[:, :, None] * root[:, None, :])
         coherence[:, range(6), range(6)] = 1.0
         # windows overlap by half, so half of them count; the loudness is one value a window
-        spread = np.sqrt((1.0 / count + np.expm1(4.0 * sigma**2)) / (0.5 * many))
+        spread = np.sqrt((1.0 / count + np.expm1(4.0 * (sigma**2 + together[0] ** 2))) / (0.5 * many))
         out.append(
             Regime(
-                REGIMES[k] + (f", part {p + 1}" if p else ""),
+                name + (f", part {p + 1}" if p else ""),
                 density,
                 _ends(0.5 * (coherence + np.conj(np.swapaxes(coherence, 1, 2)))),
                 swing_sigma=sigma,
                 swing_time=time,
+                common_sigma=together[0],
+                common_time=together[1],
                 density_sigma=_ends(np.repeat(spread[:, None], 6, axis=1)),
-                **ranges(k),
+                **where,
             )
         )
     words = [
@@ -271,7 +308,7 @@ def _regime(
         for a in range(6)
         if hidden[:, a].any()
     ]
-    return out, [f"{REGIMES[k]}, hidden by the path or the noise: {', '.join(words)}"] if words else []
+    return out, [f"{name}, hidden by the path or the noise: {', '.join(words)}"] if words else []
 
 
 def table(edges: Array, density: Array) -> Array:
@@ -314,10 +351,14 @@ def loudness(power: Array, known: Array, count: NDArray[np.int64], parts: int) -
     V, K = power.reshape(many, -1), known.reshape(many, -1)
     weight = np.repeat(count, axes).astype(np.float64)
     mean = np.maximum(V - K, HIDDEN * V).mean(axis=0)
-    # they begin as low, high and all
-    place = np.repeat(np.linspace(0.0, 1.0, cells_), axes)
-    shapes = [np.ones_like(place), 1.5 - place, 0.5 + place][:parts]
-    D = np.stack([mean * x for x in (shapes if parts != 2 else shapes[1:] + [0.5 + place])][:parts]) / parts
+    logs = np.log(np.maximum(V - K, HIDDEN * V))
+    shape = logs - logs.mean(axis=1, keepdims=True)
+    shape -= shape.mean(axis=0)
+    # they begin as the windows that differ most in shape, whatever their loudness
+    along = np.linalg.svd(shape, full_matrices=False)[0][:, : max(parts - 1, 1)]
+    start = [along[:, 0].argsort(), (-along[:, 0]).argsort(), (-along[:, -1]).argsort()][:parts] if parts > 1 else [np.arange(many)]
+    chosen = [x[: max(3, many // 5)] if parts > 1 else x for x in start]
+    D = np.stack([mean * np.exp(shape[x].mean(axis=0)) for x in chosen]) / parts
     g = np.ones((many, parts))
     for _ in range(ITERATIONS):
         R = g @ D + K
@@ -363,14 +404,28 @@ def _stretches(edges: Array, inside: NDArray[np.bool_]) -> list[tuple[float, flo
     return [(float(edges[a]), float(edges[b])) for a, b in turns]
 
 
-def _swing(logs: Array) -> tuple[float, float]:
-    """Standard deviation (nepers of amplitude) and time (s) of a loudness from its logarithms (w,) in windows half overlapping."""
-    logs = 0.5 * logs
-    low, high = np.quantile(logs, [0.1, 0.9])
-    y = np.clip(logs, low - 0.5 * (high - low), None)  # a part that is away is away, however far
-    sigma = float((high - low) / 2.563)
+def _swings(logs: Array) -> tuple[tuple[float, float], list[tuple[float, float]]]:
+    """What all parts swing together, and each by itself: standard deviation (nepers of amplitude) and time (s), of logarithms (w, parts) of loudness.
+
+    Windows overlap by half.
+    """
+    y = 0.5 * logs
+    low, middle, high = np.quantile(y, [0.1, 0.5, 0.9], axis=0)
+    y = np.clip(y, middle - 2.0 * (middle - low), middle + 2.0 * (high - middle)) - middle  # a part that is away is away, however far
+    parts = y.shape[1]
+    together = y.mean(axis=1)
+    if parts == 1:
+        return _slow(together, float(together.std())), [(0.0, 5.0)]
+    S = np.cov(y.T)
+    shared = max(0.0, float(S[~np.eye(parts, dtype=bool)].mean()))
+    own = [_slow(y[:, p] - together, float(np.sqrt(max(S[p, p] - shared, 0.0)))) for p in range(parts)]
+    return _slow(together, float(np.sqrt(shared))), own
+
+
+def _slow(y: Array, sigma: float) -> tuple[float, float]:
+    """Standard deviation and time of a slow process that shows this standard deviation in means over windows."""
     if sigma < 0.05 or y.size < 8:
-        return (min(sigma, LARGEST_SWING) if sigma >= 0.05 else 0.0), 5.0
+        return 0.0, 5.0
     y = y - y.mean()
     # autocorrelation (1 + x) exp(-x), x = lag over time, two windows apart so that none overlap
     r = float(np.mean(y[2:] * y[:-2]) / np.mean(y**2))
@@ -380,17 +435,3 @@ def _swing(logs: Array) -> tuple[float, float]:
     u = np.linspace(0.0, 1.0, 100)
     kept = 2.0 * float(np.mean((1.0 - u) * (1.0 + x * u) * np.exp(-x * u)))
     return min(sigma / float(np.sqrt(kept)), LARGEST_SWING), WINDOW_S / x
-
-
-def ranges(k: int) -> dict[str, tuple[float, float]]:
-    """Speed, turn and climb of a regime of :data:`REGIMES`, as its file says them."""
-    inf = float("inf")
-    edges = (ROLLING[1], *SPEEDS, inf)
-    moving = {"speed": (ROLLING[1], inf), "turn": (0.0, BENDING[0])}
-    if k == 0:
-        return {"speed": (0.0, ROLLING[0])}
-    if k == 1:
-        return {"speed": (ROLLING[1], inf), "turn": (BENDING[1], inf)}
-    if k in (2, 3):
-        return moving | {"climb": (CLIMBING, inf) if k == 2 else (-inf, -CLIMBING)}
-    return moving | {"speed": (edges[k - 4], edges[k - 3]), "climb": (-CLIMBING, CLIMBING)}

@@ -120,8 +120,8 @@ def vehicle_lines(found: LearnedVehicle) -> list[str]:
     if found.vehicle.jerk is not None:
         out.append(f"jerk density of its path {found.vehicle.jerk:g} m/s^3 per sqrt(Hz)")
     out += [
-        f"{r.name}: loudness swings by {8.686 * r.swing_sigma:.1f} dB within {r.swing_time:.0f} s"
+        f"{r.name}: loudness swings by {8.686 * r.common_sigma:.1f} dB within {r.common_time:.0f} s"
         for r in found.vehicle.spectrum.regimes
-        if r.swing_sigma
+        if r.common_sigma and r.name in found.seconds
     ]
     return out + [f"cannot tell: {text}" for text in found.vehicle.spectrum.unknown]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.compiled import njit
-from insemu.emulate.dynamics.spectrum import MotionSpectrum, parts
+from insemu.emulate.dynamics.spectrum import MotionSpectrum
 from insemu.errors import InputError
 from insemu.units import STANDARD_GRAVITY
 
@@ -66,9 +66,9 @@ class Blocks:
 
     def __init__(self, spectrum: MotionSpectrum, hop: int, rate: float, seed: int, mount: Mount | None) -> None:
         self.spectrum, self.hop, self.rate, self.seed, self.mount = spectrum, hop, rate, seed, mount
+        self._parts = spectrum.parts
         self._held: OrderedDict[int, tuple[dict[int, Complex], dict[int, Array]]] = OrderedDict()
         self._factors: dict[int, Complex] = {}
-        self._parts = parts(spectrum.regimes)
 
     def __getstate__(self) -> dict[str, Any]:
         """For another process: what was drawn is drawn there again."""
@@ -120,13 +120,14 @@ class Blocks:
         whites, held = self._held[number]
         part = self._parts[regime]
         if part not in whites:
-            rng = np.random.default_rng((self.seed, STREAMS["block"], number + (1 << 16), part))
+            rng = np.random.default_rng((self.seed, STREAMS["block"], number + (1 << 16), *([part] if part else [])))
             whites[part] = rng.standard_normal((self._frequencies.size, 12)).view(np.complex128)
+        white = whites[part]
         if regime not in held:
             from scipy.fft import irfft
 
             bins = np.zeros((6, self.hop + 1), complex)
-            _through(self._factor(regime), whites[part], round(self._frequencies[0] * 2 * self.hop / self.rate), bins)
+            _through(self._factor(regime), white, round(self._frequencies[0] * 2 * self.hop / self.rate), bins)
             held[regime] = irfft(bins, 2 * self.hop, axis=1, overwrite_x=True)
             held[regime] *= self._window
         return held[regime][:, which * self.hop : (which + 1) * self.hop]

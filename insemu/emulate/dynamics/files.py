@@ -54,7 +54,7 @@ class MovingVehicle:
 _HEAD = ("vehicle", "kind", "source", "jerk", "slip")
 _SLIP = ("sigma", "time", "axle", "compliance", "leeway")
 _LEARNED, _PRESET = ("frequencies", "regimes", "lines", "unknown"), ("fastest", "parts", "lines")
-_REGIME = ("speed", "turn", "climb", "density", "density_sigma", "coherence", "swing")
+_REGIME = ("speed", "turn", "climb", "density", "density_sigma", "coherence", "swing", "common_swing")
 _LINE = ("name", "order", "rate", "per_metre", "amplitude", "phase", "wander")
 
 
@@ -154,10 +154,12 @@ def _regime(reader: Reader, name: str, value: Any, place: Place, m: int) -> Regi
         coherence[:, i, j], coherence[:, j, i] = c, np.conj(c)
     ranges: dict[str, Any] = {k: reader.pair(got[k], (*place, k)) for k in ("speed", "turn", "climb") if k in got}
     swing = reader.slow(got["swing"], (*place, "swing")) if "swing" in got else (0.0, 5.0)
+    common = reader.slow(got["common_swing"], (*place, "common_swing")) if "common_swing" in got else (0.0, 5.0)
     return reader.made(
         place,
         lambda: Regime(
-            name, density, coherence, **ranges, swing_sigma=swing[0], swing_time=swing[1], density_sigma=sigma
+            name, density, coherence, **ranges, swing_sigma=swing[0], swing_time=swing[1], density_sigma=sigma,
+            common_sigma=common[0], common_time=common[1],
         ),
     )
 
@@ -198,6 +200,7 @@ def vehicle_text(vehicle: MovingVehicle) -> str:
         ):
             out += [f"    {key}: {_row(pair)}  # {unit}"] if pair != default else []
         out += [f"    swing: {_slow(r.swing_sigma, r.swing_time)}  # nepers, s"] if r.swing_sigma else []
+        out += [f"    common_swing: {_slow(r.common_sigma, r.common_time)}"] if r.common_sigma else []
         out += [f"    density:  # {', '.join(AXES)}; one-sided, (rad/s)^2/Hz and (m/s^2)^2/Hz, one row a frequency"]
         out += [f"      - {_row(row)}" for row in r.density]
         if r.density_sigma is not None:

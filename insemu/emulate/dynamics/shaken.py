@@ -19,7 +19,7 @@ from insemu.emulate.dynamics.blocks import STREAMS, Blocks, Mount
 from insemu.emulate.dynamics.files import MovingVehicle
 from insemu.emulate.dynamics.slip import SlipMotion
 from insemu.emulate.dynamics.slow import SlowProcess
-from insemu.emulate.dynamics.spectrum import Line, MotionSpectrum, parts, weights
+from insemu.emulate.dynamics.spectrum import Line, MotionSpectrum, weights
 from insemu.emulate.hover import plane_of
 from insemu.emulate.motion import smoothstep
 from insemu.emulate.path import Curve, SmoothPath
@@ -33,9 +33,8 @@ KNOTS_PER_PERIOD = 4.0
 PERIODS, SHORTEST_HOP = 4.0, 8.0
 #: Share below which a regime is not drawn; up to ten times as much its level rises smoothly from nothing.
 _NO_SHARE = 1e-3
-#: What changes slowly (speed, attitude, levels) is asked for so often, Hz at least, and is cubic between; one regime passes into another within
-#: twice so many s, since displacements are large where they are slow and a sudden share of one is a blow.
-_SLOW_HZ, _BLEND = 15.0, 2.0
+#: What changes slowly (speed, attitude, levels) is asked for so often, Hz at least, and is cubic between; shares of regimes blend over so many s.
+_SLOW_HZ, _BLEND = 15.0, 1.0
 #: Blocks that are kept: 25 MB.
 _KEPT = 128
 #: Page of the knots just before the start of a path.
@@ -76,12 +75,12 @@ class BodyMotion:
         self._periods: dict[int, Array] = {}
         self._noses: Array | None = None
 
-        # regimes that swing alike swing together, parts of one apart
-        swings = [
-            (r.swing_sigma, r.swing_time, k) for r, k in zip(spectrum.regimes, parts(spectrum.regimes), strict=True)
-        ]
-        made = {x: SlowProcess(*x[:2], (seed, STREAMS["swing"], x[2])) for x in swings}
-        self._swings = [made[x] for x in swings]
+        # regimes that swing alike swing together, parts of one by themselves; number -1 is what its parts have in common
+        swings = {(r.swing_sigma, r.swing_time, part) for r, part in zip(spectrum.regimes, spectrum.parts, strict=True)}
+        swings |= {(r.common_sigma, r.common_time, -1) for r in spectrum.regimes}
+        self._swings = {
+            x: SlowProcess(*x[:2], (seed, STREAMS["swing"], *([x[2] + 2] if x[2] else []))) for x in sorted(swings)
+        }
         self._wanders = [
             SlowProcess(x.wander_sigma, x.wander_time, (seed, STREAMS["wander"], k))
             for k, x in enumerate(spectrum.lines)
@@ -121,11 +120,12 @@ class BodyMotion:
         drawn = [k for k in range(shares.shape[1]) if shares[:, k].max() > _NO_SHARE]
         if drawn:
             levels = np.empty((t.size, len(drawn)))
-            swung = {id(x): np.exp(x(t) - x.sigma**2) for x in (self._swings[k] for k in drawn)}
+            swung = {x: np.exp(process(t) - process.sigma**2) for x, process in self._swings.items()}
             for column, k in enumerate(drawn):
-                share = shares[:, k]
+                share, r = shares[:, k], self.spectrum.regimes[k]
                 rises = smoothstep((share - _NO_SHARE) / (9.0 * _NO_SHARE))
-                levels[:, column] = share * rises * swung[id(self._swings[k])]
+                own = swung[r.swing_sigma, r.swing_time, self.spectrum.parts[k]]
+                levels[:, column] = share * rises * own * swung[r.common_sigma, r.common_time, -1]
             levels = self._finely(levels)
             for column, k in enumerate(drawn):
                 _add_noise(body, levels[:, column], self.blocks.half(number - 1, k, 1), self.blocks.half(number, k, 0))

@@ -43,6 +43,8 @@ class Regime:
         The densities are means over it.
     density_sigma : (m, 6) array, optional
         Standard deviations of the densities as shares of them; None where nobody says.
+    common_sigma, common_time : float
+        The same of a swing that all parts of a regime have together (regimes with the same ranges are its parts).
     """
 
     name: str
@@ -54,6 +56,8 @@ class Regime:
     swing_sigma: float = 0.0
     swing_time: float = 5.0
     density_sigma: Array | None = None
+    common_sigma: float = 0.0
+    common_time: float = 5.0
 
     def __post_init__(self) -> None:
         m = len(self.density)
@@ -80,13 +84,28 @@ class Regime:
             low, high = getattr(self, what)
             if not low <= high:
                 raise InputError(f"regime '{self.name}': {what} from {low:g} to {high:g}, expected a range")
-        if not (self.swing_sigma >= 0.0 and self.swing_time > 0.0):
-            raise InputError(
-                f"regime '{self.name}': swing of {self.swing_sigma} within {self.swing_time} s, expected zero or more and a positive time"
-            )
+        for what, sigma, time in (
+            ("swing", self.swing_sigma, self.swing_time),
+            ("common swing", self.common_sigma, self.common_time),
+        ):
+            if not (sigma >= 0.0 and time > 0.0):
+                raise InputError(
+                    f"regime '{self.name}': {what} of {sigma} within {time} s, expected zero or more and a positive time"
+                )
+
+    @property
+    def ranges(self) -> tuple[tuple[float, float], ...]:
+        """Speed, turn and climb; regimes with the same are parts of one, side by side, each with white numbers and a swing of its own."""
+        return self.speed, self.turn, self.climb
 
     def farness(self, speed: Array, turn: Array, climb: Array) -> Array:
-        """Half the squared distance (n,) of motions from the regime's ranges, in units of the soft edges."""
+        """Half the squared distance (n,) of motions from the regime's ranges, in units of the soft edges.
+
+        Parameters
+        ----------
+        speed, turn, climb : (n,) arrays
+            m/s, rad/s, m/s.
+        """
         out = np.zeros(np.shape(speed))
         for (low, high), x, soft in (
             (self.speed, speed, SOFT_SPEED + SOFT_SPEED_SHARE * np.asarray(speed)),
@@ -185,12 +204,25 @@ class MotionSpectrum:
                     )
 
     @property
+    def parts(self) -> tuple[int, ...]:
+        """Of every regime how many before it have the same ranges."""
+        same = [r.ranges for r in self.regimes]
+        return tuple(same[:k].count(x) for k, x in enumerate(same))
+
+    @property
     def highest(self) -> float:
         """Highest frequency of spectra and of lines with a stated rate, Hz."""
         return max(float(self.frequencies[-1]), *(x.order * x.rate for x in self.lines if x.rate is not None), 0.0)
 
     def rms(self, regime: int, low: float, high: float) -> Array:
-        """Root mean square (6,) of a regime between two frequencies in Hz, lines with a stated rate among it."""
+        """Root mean square (6,) of a regime, its lines at the middle of its speeds among it.
+
+        Parameters
+        ----------
+        regime : int
+        low, high : float
+            Hz.
+        """
         f = np.linspace(max(low, self.frequencies[0]), min(high, self.frequencies[-1]), 400)
         factor = self.factors(regime, f)
         power = np.trapezoid((np.abs(factor) ** 2).sum(axis=2), f, axis=0)
@@ -224,14 +256,10 @@ class MotionSpectrum:
         return np.asarray(root[:, :, None] * np.linalg.cholesky(mixed + 1e-9 * np.eye(6)))
 
 
-def parts(regimes: Sequence[Regime]) -> list[int]:
-    """Number of each regime among those with the same ranges: those are parts of one, which go on side by side, each with its own loudness."""
-    ranges = [(r.speed, r.turn, r.climb) for r in regimes]
-    return [ranges[:k].count(x) for k, x in enumerate(ranges)]
-
-
 def weights(regimes: Sequence[Regime], speed: ArrayLike, turn: ArrayLike, climb: ArrayLike) -> Array:
-    """Shares (n, regimes) that regimes have of the motion; they sum to one, parts of one regime (:func:`parts`) counted once.
+    """Shares (n, regimes) of the power that regimes have at motions; they sum to one.
+
+    Regimes with the same ranges are parts of one: they go on side by side, each with its own loudness, and have its share each.
 
     Parameters
     ----------
@@ -242,5 +270,5 @@ def weights(regimes: Sequence[Regime], speed: ArrayLike, turn: ArrayLike, climb:
     speed, turn, climb = (np.atleast_1d(np.asarray(x, dtype=float)) for x in (speed, turn, climb))
     far = np.stack([r.farness(speed, turn, climb) for r in regimes], axis=1)
     near = np.exp(far.min(axis=1, keepdims=True) - far)
-    first = np.array(parts(regimes)) == 0
-    return np.asarray(near / near[:, first].sum(axis=1, keepdims=True))
+    same = [r.ranges for r in regimes]
+    return np.asarray(near / (near / [same.count(x) for x in same]).sum(axis=1, keepdims=True))
