@@ -393,3 +393,12 @@ def assert_matched(tmp_path, preset, builtin, runs):
 @statistical(1e-2, 4, power=0.9)
 def test_a_matched_filter_stays_matched(tmp_path, preset, builtin):
     assert_matched(tmp_path, preset, builtin, 6)
+
+
+@pytest.mark.slow(reason="sixty runs of each of ten vehicles")
+@pytest.mark.parametrize("preset", emulate.presets())
+@statistical(1e-2, 4, power=0.99)
+def test_matched_filters_stay_matched_on_every_preset(tmp_path, preset):
+    builtin = {"fixed_wing": "turbulent_uav", "multirotor": "lemniscate", "helicopter": "helicopter_mapping"}.get(preset, "urban_drive_1")
+    results = assert_matched(tmp_path, preset, builtin, 60)
+    print(f"\n{preset}: NEES/9 {results.nees[0].mean() / 9.0:.3f}")

@@ -55,7 +55,15 @@ def felt(f: Array, **moves: Complex) -> Complex:
 
 
 def second_order(f: Array, frequency: float, damping: float) -> Complex:
-    """``w0^2 / (w0^2 - w^2 + 2 i z w0 w)`` at frequencies (m,)."""
+    """``w0^2 / (w0^2 - w^2 + 2 i z w0 w)``.
+
+    Parameters
+    ----------
+    f : (m,) array
+        Hz.
+    frequency, damping : float
+        Hz, share of the critical one.
+    """
     r = f / frequency
     return np.asarray(1.0 / (1.0 - r * r + 2j * damping * r))
 
@@ -99,7 +107,14 @@ def road(f: Array, v: float, p: Mapping[str, Any]) -> list[Term]:
 
 
 def rail(f: Array, v: float, p: Mapping[str, Any]) -> list[Term]:
-    """Irregularities of a track (ERRI B176) through bogies and secondary springs; keys of :func:`road`, ``roughness`` being low or high."""
+    """Irregularities of a track (ERRI B176) through bogies and secondary springs; keys of :func:`road`, ``roughness`` being low or high.
+
+    Parameters
+    ----------
+    f : (m,) array
+    v : float
+    p : mapping
+    """
     if v < 0.1:
         return []
     if p["roughness"] not in RAILS:

@@ -28,7 +28,14 @@ class Reader:
         return InputError(message, where=self.document.where(place))
 
     def mapping(self, value: Any, place: Place, keys: Sequence[str] | None = None) -> Mapping[str, Any]:
-        """A mapping, whose keys are known where they are given."""
+        """A mapping, whose keys are known where they are given.
+
+        Parameters
+        ----------
+        value : plain data
+        place : Place
+        keys : sequence of str, optional
+        """
         if not isinstance(value, Mapping):
             raise self.fail(place, f"found {shown(value)}, expected keys with values")
         for key in value:
@@ -55,7 +62,14 @@ class Reader:
         return value
 
     def numbers(self, value: Any, place: Place, count: int | None = None) -> tuple[float, ...]:
-        """A list of numbers."""
+        """A list of numbers.
+
+        Parameters
+        ----------
+        value : plain data
+        place : Place
+        count : int, optional
+        """
         if not isinstance(value, list) or (count is not None and len(value) != count):
             raise self.fail(
                 place, f"found {shown(value)}, expected {'' if count is None else f'{count} '}numbers in brackets"
