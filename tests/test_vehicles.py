@@ -399,6 +399,8 @@ def test_a_matched_filter_stays_matched(tmp_path, preset, builtin):
 @pytest.mark.parametrize("preset", emulate.presets())
 @statistical(1e-2, 4, power=0.99)
 def test_matched_filters_stay_matched_on_every_preset(tmp_path, preset):
-    builtin = {"fixed_wing": "turbulent_uav", "multirotor": "lemniscate", "helicopter": "helicopter_mapping"}.get(preset, "urban_drive_1")
+    builtin = {"fixed_wing": "turbulent_uav", "multirotor": "lemniscate", "helicopter": "helicopter_mapping"}.get(
+        preset, "urban_drive_1"
+    )
     results = assert_matched(tmp_path, preset, builtin, 60)
     print(f"\n{preset}: NEES/9 {results.nees[0].mean() / 9.0:.3f}")
