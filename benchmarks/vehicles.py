@@ -28,7 +28,11 @@ SEEDS = 3
 
 
 def driven(
-    vehicle: MovingVehicle | str, along: Recording, sensor: Mapping[str, NoiseModel], seed: int, jerk: float | None = None
+    vehicle: MovingVehicle | str,
+    along: Recording,
+    sensor: Mapping[str, NoiseModel],
+    seed: int,
+    jerk: float | None = None,
 ) -> Recording:
     """A vehicle along the fixes of a recording, with its sampling rate and fixes of its standard deviations."""
     assert along.gnss is not None
@@ -88,7 +92,14 @@ def main() -> int:
         found = learned[name] = learn_vehicle(first, kind=kind, name=name)
         seeds = range(given.seeds)
 
-        def shown(words: str, vehicle: MovingVehicle | str, along: Recording, against: Windows, top: float = top, sensor: Mapping[str, NoiseModel] = found.sensor) -> None:
+        def shown(
+            words: str,
+            vehicle: MovingVehicle | str,
+            along: Recording,
+            against: Windows,
+            top: float = top,
+            sensor: Mapping[str, NoiseModel] = found.sensor,
+        ) -> None:
             line(words, against, [windows_of(driven(vehicle, along, sensor, s), top_hz=top) for s in seeds])
 
         shown(f"vehicle: {kind}, gliding", kind, second, b)

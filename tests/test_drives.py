@@ -44,7 +44,9 @@ def way() -> Recording:
     t = np.arange(0.0, END + 0.1, 0.25)
     speed = 12.0 * np.clip((t - 30.0) / 8.0, 0.0, 1.0) * np.clip((END - 30.0 - t) / 8.0, 0.0, 1.0)
     clock = np.arange(0.0, END, 1.0 / RATE)
-    return Recording(ImuRecord(clock, np.zeros((clock.size, 3)), np.zeros((clock.size, 3))), fixes(speed, 0.0 * t, t), source="way")
+    return Recording(
+        ImuRecord(clock, np.zeros((clock.size, 3)), np.zeros((clock.size, 3))), fixes(speed, 0.0 * t, t), source="way"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -78,10 +80,14 @@ def fast(vehicle: MovingVehicle) -> list[Regime]:
 def test_densities_come_back_within_their_standard_deviations(learned: MovingVehicle, known: MovingVehicle) -> None:
     inside = slice(5, -3)  # the ramps of the speed and the path have the lowest cells, the highest end at an edge
     f = learned.spectrum.frequencies[inside]
-    truth = np.exp([np.interp(np.log(f), np.log(FREQUENCIES), np.log(y)) for y in known.spectrum.regimes[1].density.T]).T
+    truth = np.exp(
+        [np.interp(np.log(f), np.log(FREQUENCIES), np.log(y)) for y in known.spectrum.regimes[1].density.T]
+    ).T
     mine = fast(learned)
     found = sum(r.density[inside] for r in mine)
-    sigma = np.sqrt(sum((r.density_sigma[inside] * r.density[inside]) ** 2 for r in mine if r.density_sigma is not None))
+    sigma = np.sqrt(
+        sum((r.density_sigma[inside] * r.density[inside]) ** 2 for r in mine if r.density_sigma is not None)
+    )
     away = (found - truth) / sigma
     assert np.abs(away).max() < 4.5  # of some 100 numbers, whose shape a cell blurs
     assert np.mean(np.abs(away) < 2.0) > 0.8
@@ -113,10 +119,8 @@ def test_two_drives_of_one_vehicle_are_alike_and_a_glide_is_told(
 
 
 @pytest.mark.slow(reason="a third drive of four minutes and its trees, 6 s")
-def test_a_learned_vehicle_drives_like_the_one_it_was_learned_from(
-    way: Recording, recorded: Recording, learned: MovingVehicle
-) -> None:
-    taught = compare_drives(windows_of(recorded), windows_of(driven(learned, way, SENSOR, 4)))
+def test_a_learned_vehicle_drives_like_the_one_it_was_learned_from(recorded: Recording, learned: MovingVehicle) -> None:
+    taught = compare_drives(windows_of(recorded), windows_of(driven(learned, recorded, SENSOR, 4)))
     assert taught.powers.value < 0.75
     assert taught.alike > 0.8 * len(taught.bands)
 
@@ -143,7 +147,9 @@ def test_an_axle_and_side_force_come_back(way: Recording) -> None:
     bends = fixes(speed, 0.25 * np.sin(2.0 * np.pi * t / 17.0), t)
     clock = np.arange(0.0, 399.0, 1.0 / RATE)
     nothing = np.zeros((clock.size, 3))
-    spectrum = MotionSpectrum(FREQUENCIES, (Regime("all", np.full((6, 6), 1e-12), np.tile(np.eye(6, dtype=complex), (6, 1, 1))),))
+    spectrum = MotionSpectrum(
+        FREQUENCIES, (Regime("all", np.full((6, 6), 1e-12), np.tile(np.eye(6, dtype=complex), (6, 1, 1))),)
+    )
     vehicle = MovingVehicle("slips", "car", spectrum, slip=Slip(np.deg2rad(0.2), 1.5, axle=1.6, compliance=0.005))
     drive = driven(vehicle, Recording(ImuRecord(clock, nothing, nothing), bends), SENSOR, 5)
     found = sideslip_of(signals_of(drive))

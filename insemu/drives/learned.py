@@ -134,7 +134,8 @@ def learn_vehicle(
     inside = [(f >= low - 0.25 * f[1]) & (f < high - 0.25 * f[1]) for low, high in pairwise(edges)]
     count = np.array([i.sum() for i in inside])
     Y, Y_path = (
-        np.stack([np.einsum("wfi,wfj->wij", x[:, i], np.conj(x[:, i])) / i.sum() for i in inside], axis=1) for x in (z, z_path)
+        np.stack([np.einsum("wfi,wfj->wij", x[:, i], np.conj(x[:, i])) / i.sum() for i in inside], axis=1)
+        for x in (z, z_path)
     )
     quiet = np.stack([noise[i].mean(axis=0) for i in inside])
     found: list[Regime] = []
@@ -154,10 +155,12 @@ def learn_vehicle(
     unknown.append(f"above {fastest:.0f} m/s it was not seen, so it is taken to move as there")
     if missing:
         unknown.append(f"not seen, so taken as the nearest regime: {', '.join(missing)}")
-    unknown += ["sideslip: it flies, or turns too little at speed, so none is taken"] if slip is None else list(slip.unknown)
+    unknown += (
+        ["sideslip: it flies, or turns too little at speed, so none is taken"] if slip is None else list(slip.unknown)
+    )
     spectrum = MotionSpectrum(rows_of(edges)[0], tuple(found), (), tuple(unknown))
     mean = {a: WN(float(np.sqrt(0.5 * np.median(noise[:, k])))) for k, a in enumerate(AXES)}
-    sensor = {a: models[a] if models and a in models else NoiseModel([m]) for a, m in mean.items()}
+    sensor = {a: models[a] if models and a in models else NoiseModel((m,)) for a, m in mean.items()}
     usual = Slip()
     vehicle = MovingVehicle(
         name or "learned",
@@ -231,7 +234,9 @@ def _noise(s: Signals, models: Mapping[str, NoiseModel] | None, f: Array) -> tup
     level = sensor_noise(s)
     if level is None:
         level = sensor_noise(s, moving=True)
-        words = ["the sensor's noise: it hardly stands, so what the quietest windows show is taken for it, which is too much"]
+        words = [
+            "the sensor's noise: it hardly stands, so what the quietest windows show is taken for it, which is too much"
+        ]
     else:
         words = ["the sensor's noise while it moves: taken as what standstills show that no other axis explains"]
     if level is None:
@@ -239,7 +244,9 @@ def _noise(s: Signals, models: Mapping[str, NoiseModel] | None, f: Array) -> tup
     return np.tile(level, (f.size, 1)), words
 
 
-def classes(regime: NDArray[np.int64], speed: Array) -> Iterator[tuple[str, NDArray[np.bool_], dict[str, tuple[float, float]]]]:
+def classes(
+    regime: NDArray[np.int64], speed: Array
+) -> Iterator[tuple[str, NDArray[np.bool_], dict[str, tuple[float, float]]]]:
     """Regimes with their windows and ranges: standing, turning, climbing, descending, and speeds in classes with as many windows each as tell it.
 
     Parameters
@@ -265,16 +272,30 @@ def classes(regime: NDArray[np.int64], speed: Array) -> Iterator[tuple[str, NDAr
     if not level.any():
         return
     edges = [0.0]
-    for x in np.quantile(speed[level], np.arange(1, level.sum() // CLASS) / (level.sum() // CLASS)) if level.sum() > CLASS else []:
+    for x in (
+        np.quantile(speed[level], np.arange(1, level.sum() // CLASS) / (level.sum() // CLASS))
+        if level.sum() > CLASS
+        else []
+    ):
         if x - edges[-1] > NARROWEST and speed[level].max() - x > 0.5 * NARROWEST:
             edges.append(float(x))
     for low, high in pairwise([*edges, inf]):
         word = f"{low:.1f} to {high:.1f} m/s" if high < inf else f"above {low:.1f} m/s"
-        yield word, level & (speed >= low) & (speed < high), {"speed": (max(low, ROLLING[1]), high), "climb": (-CLIMBING, CLIMBING)} | straight
+        yield (
+            word,
+            level & (speed >= low) & (speed < high),
+            {"speed": (max(low, ROLLING[1]), high), "climb": (-CLIMBING, CLIMBING)} | straight,
+        )
 
 
 def _regime(
-    name: str, where: Mapping[str, tuple[float, float]], edges: Array, Y: Complex, Y_path: Complex, noise: Array, count: NDArray[np.int64]
+    name: str,
+    where: Mapping[str, tuple[float, float]],
+    edges: Array,
+    Y: Complex,
+    Y_path: Complex,
+    noise: Array,
+    count: NDArray[np.int64],
 ) -> tuple[list[Regime], list[str]]:
     """The parts of a regime from spectral matrices (w, c, 6, 6) of its windows and their path, and what is hidden in it."""
     many = len(Y)
@@ -289,7 +310,9 @@ def _regime(
         g[:, mine] = loudness(power[:, own], known[:, own], count[own], parts)
         # what chance alone makes of a vehicle that is always as loud; ordinates under a Hann window count two thirds
         degrees = count[own][:, None] / 1.5
-        steady = (np.maximum(power[:, own] - known[:, own], 0.0).mean(axis=0) + known[:, own]) * rng.gamma(degrees, 1.0 / degrees, power[:, own].shape)
+        steady = (np.maximum(power[:, own] - known[:, own], 0.0).mean(axis=0) + known[:, own]) * rng.gamma(
+            degrees, 1.0 / degrees, power[:, own].shape
+        )
         chance[:, mine] = loudness(steady, known[:, own], count[own], parts)
         C[mine, own] = matrices(Y[:, own], Y_path[:, own] + noise[own, :, None] * np.eye(6), g[:, mine])
     floor = HIDDEN * power.mean(axis=0)
@@ -299,8 +322,8 @@ def _regime(
     size = np.sqrt(np.maximum(left, floor) / np.maximum(np.einsum("pcii->ci", C).real, 1e-3 * floor))
     C = C * (size[:, :, None] * size[:, None, :])
     out, cell = [], rows_of(edges)[1]
-    together, own = _swings(g, chance)
-    for p, (sigma, time) in enumerate(own):
+    together, swings = _swings(g, chance)
+    for p, (sigma, time) in enumerate(swings):
         density = np.einsum("cii->ci", C[p]).real
         root = np.sqrt(np.maximum(density, 1e-6 * floor))
         coherence = C[p] / (root[:, :, None] * root[:, None, :])
@@ -333,7 +356,9 @@ def rows_of(edges: Array) -> tuple[Array, NDArray[np.intp]]:
     centres = np.sqrt(edges[:-1] * edges[1:])
     cell = np.arange(centres.size)
     split = int(np.sum(edges[1:] < DRIVING_HZ))
-    f = np.concatenate([edges[:1], centres[:split], edges[split] * np.array([0.999, 1.001]), centres[split:], edges[-1:]])
+    f = np.concatenate(
+        [edges[:1], centres[:split], edges[split] * np.array([0.999, 1.001]), centres[split:], edges[-1:]]
+    )
     at = np.concatenate([cell[:1], cell[:split], [max(split - 1, 0), split], cell[split:], cell[-1:]])
     return f, at
 
@@ -384,7 +409,11 @@ def loudness(power: Array, known: Array, count: NDArray[np.int64], parts: int) -
     shape -= shape.mean(axis=0)
     # they begin as the windows that differ most in shape, whatever their loudness
     along = np.linalg.svd(shape, full_matrices=False)[0][:, : max(parts - 1, 1)]
-    start = [along[:, 0].argsort(), (-along[:, 0]).argsort(), (-along[:, -1]).argsort()][:parts] if parts > 1 else [np.arange(many)]
+    start = (
+        [along[:, 0].argsort(), (-along[:, 0]).argsort(), (-along[:, -1]).argsort()][:parts]
+        if parts > 1
+        else [np.arange(many)]
+    )
     chosen = [x[: max(3, many // 5)] if parts > 1 else x for x in start]
     D = np.stack([mean * np.exp(shape[x].mean(axis=0)) for x in chosen]) / parts
     g = np.ones((many, parts))
@@ -460,8 +489,8 @@ def _slow(y: Array, sigma: float) -> tuple[float, float]:
     y = y - y.mean()
     # autocorrelation (1 + x) exp(-x), x = lag over time, two windows apart so that none overlap
     r = float(np.mean(y[2:] * y[:-2]) / np.mean(y**2))
-    x = np.geomspace(WINDOW_S / SWINGS[1], WINDOW_S / SWINGS[0], 200)
-    x = float(x[np.argmin(np.abs((1.0 + x) * np.exp(-x) - r))])
+    tried = np.geomspace(WINDOW_S / SWINGS[1], WINDOW_S / SWINGS[0], 200)
+    x = float(tried[np.argmin(np.abs((1.0 + tried) * np.exp(-tried) - r))])
     # a window shows the mean over it, which swings less
     u = np.linspace(0.0, 1.0, 100)
     kept = 2.0 * float(np.mean((1.0 - u) * (1.0 + x * u) * np.exp(-x * u)))

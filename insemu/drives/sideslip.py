@@ -117,7 +117,9 @@ def sideslip_of(s: Signals) -> Sideslip | None:
     if each[1] >= SURE_AXLE:
         unknown.append(f"place of the rear axle: {each[1]:.1f} m is its standard deviation, none is taken")
     if each[0] >= SURE_COMPLIANCE:
-        unknown.append(f"sideslip by side force: {np.rad2deg(each[0]):.2f} deg per m/s^2 is its standard deviation, none is taken")
+        unknown.append(
+            f"sideslip by side force: {np.rad2deg(each[0]):.2f} deg per m/s^2 is its standard deviation, none is taken"
+        )
     return Sideslip(float(np.sqrt(smooth)), time, found[1], found[0], found[2], tuple(unknown))
 
 

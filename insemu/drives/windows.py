@@ -179,7 +179,9 @@ def signals_of(recording: Recording) -> Signals:
     return Signals(imu.t, x, imu.dt, fixes, C, tuple(said))
 
 
-def windows_of(recording: Recording, *, top_hz: float | None = None, span: tuple[float, float] | None = None) -> Windows:
+def windows_of(
+    recording: Recording, *, top_hz: float | None = None, span: tuple[float, float] | None = None
+) -> Windows:
     """Cut a drive into windows.
 
     Parameters
@@ -254,7 +256,7 @@ def spectra(s: Signals, first: NDArray[np.intp], length: int) -> tuple[Array, ND
     x = x - ramp[:, None] * (np.einsum("t,wtk->wk", ramp, x) / float(ramp @ ramp))[:, None, :]
     window = np.hanning(length)
     z = np.fft.rfft(x * window[:, None], axis=1) * np.sqrt(2.0 * s.dt / float(window @ window))
-    return np.fft.rfftfreq(length, s.dt), z
+    return np.asarray(np.fft.rfftfreq(length, s.dt), dtype=float), np.asarray(z, dtype=complex)
 
 
 def within(recording: Recording, span: tuple[float, float] | None) -> Recording:
@@ -309,7 +311,13 @@ def sensor_noise(s: Signals, span: tuple[float, float] | None = None, *, moving:
 
 
 def _further(
-    s: Signals, first: NDArray[np.intp], length: int, f: Array, z: NDArray[np.complex128], motion: tuple[Array, Array], top: float
+    s: Signals,
+    first: NDArray[np.intp],
+    length: int,
+    f: Array,
+    z: NDArray[np.complex128],
+    motion: tuple[Array, Array],
+    top: float,
 ) -> tuple[Array, tuple[str, ...]]:
     """Features beside the powers (w, k) with names: axes that go together, jerk, sideslip."""
     columns: list[Array] = []

@@ -158,8 +158,15 @@ def _regime(reader: Reader, name: str, value: Any, place: Place, m: int) -> Regi
     return reader.made(
         place,
         lambda: Regime(
-            name, density, coherence, **ranges, swing_sigma=swing[0], swing_time=swing[1], density_sigma=sigma,
-            common_sigma=common[0], common_time=common[1],
+            name,
+            density,
+            coherence,
+            **ranges,
+            swing_sigma=swing[0],
+            swing_time=swing[1],
+            density_sigma=sigma,
+            common_sigma=common[0],
+            common_time=common[1],
         ),
     )
 

@@ -154,7 +154,9 @@ class SlipMotion:
             flow = air if self.vehicle.lean is None else s.leeway * air
             if s.current[0]:
                 flow = flow + self._flow(t, *s.current, 2)
-            if s.wind or s.current[0]:  # else the nose is on its course, and the angle of a way at standstill is anything
+            if (
+                s.wind or s.current[0]
+            ):  # else the nose is on its course, and the angle of a way at standstill is anything
                 through = velocity[:, :2] - flow
                 # the angle from the nose to the way through air or water; none where the vehicle is slower than they are
                 c, n = np.cos(heading), np.sin(heading)
