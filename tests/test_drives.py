@@ -134,7 +134,7 @@ def test_standstills_tell_the_noise_of_the_sensor_under_an_engine(way: Recording
     imu = ImuRecord(way.imu.t, x[:, :3], x[:, 3:] + np.array([0.0, 0.0, -9.81]))
     noise = windows.sensor_noise(signals_of(replace(way, imu=imu)))
     assert noise is not None
-    # five axes tell the engine to 1 / (1 + their signal to noise) of its power, the rest of the sixth is the sensor's own; the quietest octave is lower
+    # five axes tell the engine to 1 / (1 + their signal to noise) of its power, the rest of the sixth is its own; the quietest octave is lower
     loud = (10.0 * np.array([1.0, -0.5, 2.0, 1.0, 3.0, -2.0])) ** 2
     left = 1.0 + loud / (1.0 + loud.sum() - loud)
     assert noise / (2.0 * level**2) == pytest.approx(left, rel=0.25)
@@ -209,7 +209,8 @@ def test_a_file_is_written_that_a_scenario_drives(recorded: Recording, tmp_path:
     scenario = tmp_path / "again.yaml"
     scenario.write_text(
         "title: again\ntrajectory: {track: drive.npz, vehicle: {file: my_car.yaml}, rate: 50 Hz, kind: sample, mode: continuous}\n"
-        "truth: {gyro: WN(N=0.3 deg/sqrt(h)), accel: WN(N=150 ug/sqrt(Hz))}\ndesigns: {a: {gyro: WN(N=0.3 deg/sqrt(h)), accel: WN(N=150 ug/sqrt(Hz))}}\n"
+        "truth: {gyro: WN(N=0.3 deg/sqrt(h)), accel: WN(N=150 ug/sqrt(Hz))}\n"
+        "designs: {a: {gyro: WN(N=0.3 deg/sqrt(h)), accel: WN(N=150 ug/sqrt(Hz))}}\n"
     )
     emulated = tmp_path / "emulated.npz"
     done = CliRunner().invoke(app, ["emulate", str(scenario), "--out", str(emulated)])

@@ -352,7 +352,7 @@ def _regime(
 
 
 def rows_of(edges: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Frequencies of the rows of a table, and the cell that each shows: middles of the cells, the outer edges, and both sides of :data:`DRIVING_HZ`."""
+    """Frequencies of the rows of a table, and the cell that each shows: middles, the outer edges, and both sides of :data:`DRIVING_HZ`."""
     centres = np.sqrt(edges[:-1] * edges[1:])
     cell = np.arange(centres.size)
     split = int(np.sum(edges[1:] < DRIVING_HZ))
@@ -400,7 +400,7 @@ def loudness(power: Array, known: Array, count: NDArray[np.int64], parts: int) -
     Factorization by the Itakura-Saito divergence, which is the likelihood of Gaussian signals (Fevotte, Bertin and Durrieu 2009), by
     multiplicative updates.
     """
-    many, cells_, axes = power.shape
+    many, _, axes = power.shape
     V, K = power.reshape(many, -1), known.reshape(many, -1)
     weight = np.repeat(count, axes).astype(np.float64)
     mean = np.maximum(V - K, HIDDEN * V).mean(axis=0)
@@ -464,8 +464,8 @@ def _stretches(edges: Array, inside: NDArray[np.bool_]) -> list[tuple[float, flo
 def _swings(g: Array, chance: Array) -> tuple[tuple[float, float], list[tuple[float, float]]]:
     """What all parts swing together, and each by itself: standard deviation (nepers of amplitude) and time (s), of loudnesses (w, parts) of mean 1.
 
-    Windows overlap by half. Of a lognormal loudness the mean is above the median by ``exp(2 sigma^2)``, which gives the size: what a part does when it
-    is all but away does not matter. ``chance`` is what loudnesses look like where there is no swing.
+    Windows overlap by half. Of a lognormal loudness the mean is above the median by ``exp(2 sigma^2)``, which gives the size: what a part does when
+    it is all but away does not matter. ``chance`` is what loudnesses look like where there is no swing.
     """
     (y, size, shared), (_, own_size, own_shared) = (_sizes(x) for x in (g, chance))
     together, size = y.mean(axis=1), np.maximum(size - own_size, 0.0)

@@ -16,7 +16,7 @@ from insemu import rotation
 from insemu.errors import InputError
 from insemu.intake import track_of, vehicle_axes
 from insemu.lost import restored
-from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
+from insemu.records import AXES, GnssRecord, Recording, Trajectory
 
 Array = NDArray[np.float64]
 
@@ -273,7 +273,7 @@ def sensor_noise(s: Signals, span: tuple[float, float] | None = None, *, moving:
     """White density of the sensor (6,), one-sided: the largest that its signals allow; None where it hardly stands.
 
     A rigid body moves all axes, noise of a sensor is its own. So while it stands the noise of an axis is at most what the five others do not explain,
-    ``1 / [inv(S)]_ii`` of the spectral matrix, which an engine that runs raises less than its power; and it is never more than the quietest windows of
+    ``1 / [inv(S)]_ii`` of the spectral matrix, which an engine that runs raises less than its power; and never more than the quietest windows of
     the drive show. Of the octaves the quietest counts.
 
     Parameters

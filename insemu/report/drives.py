@@ -69,8 +69,8 @@ def render_drives(found: Comparison, path: str | Path, recorded: str, emulated: 
         Card("everything", str(found.everything), word.capitalize(), tone),
     ]
     words = (
-        "Boosted trees see windows of 4 s and say which of two is emulated; the area under their curve is how often they are right. Root mean squares are of "
-        "the windows, regimes counted alike; a feature's own area is below 0.5 where the emulated drive shows less of it."
+        "Boosted trees see windows of 4 s and say which of two is emulated; the area under their curve is how often they are right. Root mean squares are "
+        "of the windows, regimes counted alike; a feature's own area is below 0.5 where the emulated drive shows less of it."
     )
     header, rows = (
         ["regime", "recorded, s", "emulated, s"],
@@ -124,8 +124,8 @@ def vehicle_lines(found: LearnedVehicle) -> list[str]:
     s = found.sideslip
     if s is not None:
         out.append(
-            f"sideslip beside turns {np.rad2deg(s.sigma):.2g} deg over {s.time:.2g} s; rear axle {s.axle[0]:.2g} m behind (sigma {s.axle[1]:.2g}); nose "
-            f"into the bend by {np.rad2deg(s.compliance[0]):.2g} deg per m/s^2 (sigma {np.rad2deg(s.compliance[1]):.2g})"
+            f"sideslip beside turns {np.rad2deg(s.sigma):.2g} deg over {s.time:.2g} s; rear axle {s.axle[0]:.2g} m behind (sigma {s.axle[1]:.2g}); "
+            f"nose into the bend by {np.rad2deg(s.compliance[0]):.2g} deg per m/s^2 (sigma {np.rad2deg(s.compliance[1]):.2g})"
         )
     if found.vehicle.jerk is not None:
         out.append(f"jerk density of its path {found.vehicle.jerk:g} m/s^3 per sqrt(Hz)")

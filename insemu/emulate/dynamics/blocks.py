@@ -104,7 +104,7 @@ class Blocks:
         return np.asarray(np.sin(np.pi * (np.arange(2 * self.hop) + 0.5) / (2 * self.hop)))
 
     def half(self, number: int, regime: int, which: int) -> Array:
-        """Coefficients (6, hop) in body axes of one regime over the first or second half of a block; all regimes share its white numbers, parts of one excepted."""
+        """Coefficients (6, hop) in body axes of one regime over the first or second half of a block; regimes share white numbers, parts do not."""
         if number not in self._held:
             self._held[number] = {}, {}
             while len(self._held) > 3:
