@@ -69,8 +69,8 @@ def render_drives(found: Comparison, path: str | Path, recorded: str, emulated: 
         Card("everything", str(found.everything), word.capitalize(), tone),
     ]
     words = (
-        "Boosted trees see windows of 4 s and say which of two is emulated; the area under their curve is how often they are right. Root mean squares are "
-        "of the windows, regimes counted alike; a feature's own area is below 0.5 where the emulated drive shows less of it."
+        "Boosted trees see windows of 4 s and say which of two is emulated; the area under their curve is how often they are right. "
+        "Root mean squares are of the windows, regimes counted alike; a feature's own area is below 0.5 where the emulated drive shows less of it."
     )
     header, rows = (
         ["regime", "recorded, s", "emulated, s"],
