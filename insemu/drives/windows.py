@@ -149,7 +149,15 @@ class Signals:
         return level, np.where(level >= STANDING, turn, 0.0), -mean[:, 2]
 
     def pieces(self, length: int, step: int, start: float = -np.inf, end: float = np.inf) -> NDArray[np.intp]:
-        """First rows of pieces of so many rows without a gap, inside the fixes and a span."""
+        """First rows of pieces without a gap, inside the fixes and a span.
+
+        Parameters
+        ----------
+        length, step : int
+            Rows of a piece, and from the start of one to that of the next.
+        start, end : float
+            s.
+        """
         first = np.arange(0, self.t.size - length + 1, step)
         begin, stop = self.t[first], self.t[first + length - 1]
         whole = np.abs((stop - begin) / ((length - 1) * self.dt) - 1.0) < 0.02
