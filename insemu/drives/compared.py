@@ -1,8 +1,8 @@
 """Whether an emulated drive can be told from a recorded one, and by what.
 
 Gradient-boosted trees look at windows of both and are asked about windows in blocks of time that they have not seen. The area under their curve is
-the chance that they find the emulated one of a pair: 0.5 where nothing tells, 1 where everything does. Regimes count alike in both drives, and sensors are
-made equally noisy first, so that another share of standing or another sensor is no answer.
+the chance that they find the emulated one of a pair: 0.5 where nothing tells, 1 where everything does. Regimes count alike in both drives, and
+sensors are made equally noisy first, so that another share of standing or another sensor is no answer.
 """
 
 from __future__ import annotations
@@ -22,7 +22,13 @@ Array = NDArray[np.float64]
 #: Folds and how often they are drawn; blocks of time of a drive; number of the first block of the second one.
 FOLDS, REPEATS, BLOCKS, SECOND = 5, 3, 20, 1000
 #: Trees, their leaves, least windows in a leaf and step: few windows bear small trees only.
-TREES: dict[str, Any] = {"max_iter": 60, "max_leaf_nodes": 8, "min_samples_leaf": 8, "learning_rate": 0.1, "early_stopping": False}
+TREES: dict[str, Any] = {
+    "max_iter": 60,
+    "max_leaf_nodes": 8,
+    "min_samples_leaf": 8,
+    "learning_rate": 0.1,
+    "early_stopping": False,
+}
 #: Levels of a feature that are held apart.
 RANKS = 64
 #: Resampled sets of blocks for the interval, and its level.
@@ -182,9 +188,7 @@ def compare_drives(recorded: Windows, emulated: Windows, *, seed: int = 1, shown
     regime = np.concatenate([recorded.regime, emulated.regime])
     weight = _weights(regime, label)
     block = np.concatenate([_blocks(len(recorded.t)), _blocks(len(emulated.t)) + SECOND])
-    areas = [
-        _area(x, label, weight, block, rng) for x in (logs, np.concatenate([logs, more], axis=1))
-    ]
+    areas = [_area(x, label, weight, block, rng) for x in (logs, np.concatenate([logs, more], axis=1))]
     telling = _telling(recorded, emulated, np.concatenate([logs, more], axis=1), label, weight)
     return Comparison(areas[0], areas[1], tuple(telling[:shown]), bands, seconds, tuple(said))
 
@@ -213,7 +217,13 @@ def _equally_noisy(a: Windows, b: Windows) -> tuple[Windows, Windows, list[str]]
     """Both drives with white noise as loud as that of the noisier sensor, axis by axis, and what was done."""
     if a.noise is None or b.noise is None:
         who = [w.source for w in (a, b) if w.noise is None]
-        return a, b, [f"{' and '.join(who)}: no standstill tells the noise of the sensor, so a louder sensor counts as a difference"]
+        return (
+            a,
+            b,
+            [
+                f"{' and '.join(who)}: no standstill tells the noise of the sensor, so a louder sensor counts as a difference"
+            ],
+        )
     width = np.diff(a.edges)
     said, out = [], []
     for w, other in ((a, b), (b, a)):
@@ -221,7 +231,7 @@ def _equally_noisy(a: Windows, b: Windows) -> tuple[Windows, Windows, list[str]]
         missing = np.maximum(other.noise - w.noise, 0.0)
         out.append(replace(w, power=w.power + missing[:, None] * width, noise=np.maximum(w.noise, other.noise)))
         louder = [
-            f"{axis_name(k)} {np.sqrt(w.noise[k] / 2) / unit:.2g} to {np.sqrt(other.noise[k] / 2) / unit:.2g} {name}"
+            f"{axis_name(int(k))} {np.sqrt(w.noise[k] / 2) / unit:.2g} to {np.sqrt(other.noise[k] / 2) / unit:.2g} {name}"
             for k in np.flatnonzero(missing > 0.2 * w.noise)
             for unit, name in [_density_unit(int(k))]
         ]
@@ -248,8 +258,8 @@ def _bands(a: Windows, b: Windows, regime: int) -> list[Band]:
     for k in range(6):
         size, unit = unit_of(k)
         for j, (low, high) in enumerate(zip(a.edges[:-1], a.edges[1:], strict=True)):
-            values = (float(r[k, j] / size) for r in rms)
-            out.append(Band(REGIMES[regime], axis_name(k), float(low), float(high), *values, unit))
+            first, second = (float(r[k, j] / size) for r in rms)
+            out.append(Band(REGIMES[regime], axis_name(k), float(low), float(high), first, second, unit))
     return out
 
 
@@ -264,7 +274,9 @@ def _classifier() -> Any:
     return HistGradientBoostingClassifier
 
 
-def _area(x: Array, label: NDArray[np.int64], weight: Array, block: NDArray[np.int64], rng: np.random.Generator) -> Area:
+def _area(
+    x: Array, label: NDArray[np.int64], weight: Array, block: NDArray[np.int64], rng: np.random.Generator
+) -> Area:
     """Area under the curve of windows in blocks that the trees have not seen."""
     from threadpoolctl import threadpool_limits
 

@@ -23,12 +23,12 @@ from insemu.drives.windows import (
     Signals,
     axis_name,
     regime_of,
-    resting_noise,
+    sensor_noise,
     signals_of,
     spectra,
     within,
 )
-from insemu.emulate import MotionSpectrum, MovingVehicle, Regime, Slip, Track, ideal_imu, smooth_track
+from insemu.emulate import VEHICLES, MotionSpectrum, Moving, MovingVehicle, Regime, Slip, Track, ideal_imu, smooth_track
 from insemu.errors import InputError
 from insemu.filters import with_standard_deviations
 from insemu.noise import WN, NoiseModel
@@ -43,10 +43,12 @@ LOWEST, CELLS = 0.4, 4
 FEWEST = 7
 #: Least share of a density that is taken for the vehicle's; below it the sensor's noise hides it.
 HIDDEN = 0.02
-#: Windows from which on a regime has two and three parts, each with a loudness of its own; steps of the climb to their likeliest sizes.
-PARTS_FROM, ITERATIONS = (14, 30), 60
+#: Up to this frequency, Hz, a driver and the springs move a vehicle, above it the ground, the air and the engine do: each with a loudness of its own.
+DRIVING_HZ = 3.0
+#: Windows from which on each of them has two parts; steps of the climb to their likeliest sizes.
+PARTS_FROM, ITERATIONS = 20, 60
 #: Time constants of a swing that windows of four seconds tell, s, and the largest swing, nepers: beyond, a few windows are all of the power.
-SWINGS, LARGEST_SWING = (3.0, 30.0), 0.8
+SWINGS, LARGEST_SWING = (3.0, 30.0), 1.0
 #: Windows in a class of speeds, and its least width, m/s: spectra follow the speed, by wheels, shafts and the lengths of waves of a road.
 CLASS, NARROWEST = 30, 1.5
 #: Speeds below which a vehicle stands and above which it moves, m/s, and turns below which it goes straight and above which it turns, rad/s: ranges
@@ -118,7 +120,9 @@ def learn_vehicle(
     length = round(WINDOW_S / s.dt)
     first = s.pieces(length, length // 2)
     f, z = spectra(s, first, length)
-    jerk, z_path = _path(s, part.gnss, kind, first, length)
+    # the yaw axis of what banks is not the vertical, along which a course turns
+    slip = sideslip_of(s) if VEHICLES[kind].lean is not None else None
+    jerk, z_path = _path(s, part.gnss, kind, first, length, None if slip is None else slip.as_slip())
     noise, words = _noise(s, models, f)
     unknown += words
     if recording.imu.kind != "sample":  # what averages over an interval shows less than there is
@@ -130,7 +134,8 @@ def learn_vehicle(
     inside = [(f >= low - 0.25 * f[1]) & (f < high - 0.25 * f[1]) for low, high in pairwise(edges)]
     count = np.array([i.sum() for i in inside])
     Y, Y_path = (
-        np.stack([np.einsum("wfi,wfj->wij", x[:, i], np.conj(x[:, i])) / i.sum() for i in inside], axis=1) for x in (z, z_path)
+        np.stack([np.einsum("wfi,wfj->wij", x[:, i], np.conj(x[:, i])) / i.sum() for i in inside], axis=1)
+        for x in (z, z_path)
     )
     quiet = np.stack([noise[i].mean(axis=0) for i in inside])
     found: list[Regime] = []
@@ -150,12 +155,12 @@ def learn_vehicle(
     unknown.append(f"above {fastest:.0f} m/s it was not seen, so it is taken to move as there")
     if missing:
         unknown.append(f"not seen, so taken as the nearest regime: {', '.join(missing)}")
-    slip = sideslip_of(s)
-    unknown += ["sideslip: too little turning at speed to tell it, so what is usual for its kind"] if slip is None else list(slip.unknown)
-    centres = np.concatenate([edges[:1], np.sqrt(edges[:-1] * edges[1:]), edges[-1:]])
-    spectrum = MotionSpectrum(centres, tuple(found), (), tuple(unknown))
+    unknown += (
+        ["sideslip: it flies, or turns too little at speed, so none is taken"] if slip is None else list(slip.unknown)
+    )
+    spectrum = MotionSpectrum(rows_of(edges)[0], tuple(found), (), tuple(unknown))
     mean = {a: WN(float(np.sqrt(0.5 * np.median(noise[:, k])))) for k, a in enumerate(AXES)}
-    sensor = {a: models[a] if models and a in models else NoiseModel([m]) for a, m in mean.items()}
+    sensor = {a: models[a] if models and a in models else NoiseModel((m,)) for a, m in mean.items()}
     usual = Slip()
     vehicle = MovingVehicle(
         name or "learned",
@@ -168,7 +173,9 @@ def learn_vehicle(
     return LearnedVehicle(vehicle, sensor, seconds, slip, tuple(said))
 
 
-def _path(s: Signals, gnss: GnssRecord, kind: str, first: NDArray[np.intp], length: int) -> tuple[float, Complex]:
+def _path(
+    s: Signals, gnss: GnssRecord, kind: str, first: NDArray[np.intp], length: int, slip: Slip | None
+) -> tuple[float, Complex]:
     """Jerk density with which the fixes are smoothed, and transforms of what an IMU feels on the path that comes of it.
 
     The largest density with which the path turns and pushes no more than :data:`SHARE` of what the IMU felt just above :data:`LOWEST`: a path
@@ -178,7 +185,7 @@ def _path(s: Signals, gnss: GnssRecord, kind: str, first: NDArray[np.intp], leng
     inside = (f >= LOWEST) & (f < 2.5 * LOWEST)
     felt = np.mean(np.abs(z[:, inside][:, :, LEVEL]) ** 2, axis=(0, 1))
     for jerk in JERKS:
-        z_path = spectra(replace(s, x=path_signals(s, gnss, kind, jerk)), first, length)[1]
+        z_path = spectra(replace(s, x=path_signals(s, gnss, kind, jerk, slip)), first, length)[1]
         if (np.mean(np.abs(z_path[:, inside][:, :, LEVEL]) ** 2, axis=(0, 1)) < SHARE * felt).all():
             break
     return jerk, z_path
@@ -192,7 +199,7 @@ def cells(bin_hz: float, top: float) -> Array:
     return np.array(edges)
 
 
-def path_signals(s: Signals, gnss: GnssRecord, kind: str, jerk: float | None) -> Array:
+def path_signals(s: Signals, gnss: GnssRecord, kind: str, jerk: float | None, slip: Slip | None = None) -> Array:
     """What a perfect IMU feels on the path that an emulation makes of the fixes, (n, 6) at the rows of the signals.
 
     Parameters
@@ -202,8 +209,13 @@ def path_signals(s: Signals, gnss: GnssRecord, kind: str, jerk: float | None) ->
     kind : str
     jerk : float, optional
         m/s^3 per sqrt(Hz).
+    slip : Slip, optional
+        Turns the nose out of the course.
     """
     path = smooth_track(track_for(gnss), kind, jerk=jerk, max_gap_s=np.inf).path
+    if slip is not None:
+        nothing = Regime("none", np.zeros((2, 6)), np.tile(np.eye(6, dtype=complex), (2, 1, 1)))
+        path = Moving(MovingVehicle("none", kind, MotionSpectrum(np.array([1.0, 5.0]), (nothing,)), slip=slip)).on(path)
     start, end = max(path.start, s.t[0]), min(path.end, s.t[-1])
     ideal = ideal_imu(path, 20.0, mode="continuous", kind="sample", span=(start, end)).imu
     return np.stack([np.interp(s.t, ideal.t, column) for column in ideal.rates().T], axis=1)
@@ -219,10 +231,12 @@ def _noise(s: Signals, models: Mapping[str, NoiseModel] | None, f: Array) -> tup
     if models:
         own = np.stack([2.0 * models[a].psd(np.maximum(f, f[1]), s.dt) for a in AXES], axis=1)
         return own @ np.kron(np.eye(2), np.asarray(s.mounting) ** 2).T, []
-    level = resting_noise(s)
+    level = sensor_noise(s)
     if level is None:
-        level = resting_noise(s, moving=True)
-        words = ["the sensor's noise: it never stands, so what no other axis explains is taken for noise, which is too much"]
+        level = sensor_noise(s, moving=True)
+        words = [
+            "the sensor's noise: it hardly stands, so what the quietest windows show is taken for it, which is too much"
+        ]
     else:
         words = ["the sensor's noise while it moves: taken as what standstills show that no other axis explains"]
     if level is None:
@@ -230,7 +244,9 @@ def _noise(s: Signals, models: Mapping[str, NoiseModel] | None, f: Array) -> tup
     return np.tile(level, (f.size, 1)), words
 
 
-def classes(regime: NDArray[np.int64], speed: Array) -> Iterator[tuple[str, NDArray[np.bool_], dict[str, tuple[float, float]]]]:
+def classes(
+    regime: NDArray[np.int64], speed: Array
+) -> Iterator[tuple[str, NDArray[np.bool_], dict[str, tuple[float, float]]]]:
     """Regimes with their windows and ranges: standing, turning, climbing, descending, and speeds in classes with as many windows each as tell it.
 
     Parameters
@@ -256,36 +272,60 @@ def classes(regime: NDArray[np.int64], speed: Array) -> Iterator[tuple[str, NDAr
     if not level.any():
         return
     edges = [0.0]
-    for x in np.quantile(speed[level], np.arange(1, level.sum() // CLASS) / (level.sum() // CLASS)) if level.sum() > CLASS else []:
+    for x in (
+        np.quantile(speed[level], np.arange(1, level.sum() // CLASS) / (level.sum() // CLASS))
+        if level.sum() > CLASS
+        else []
+    ):
         if x - edges[-1] > NARROWEST and speed[level].max() - x > 0.5 * NARROWEST:
             edges.append(float(x))
     for low, high in pairwise([*edges, inf]):
         word = f"{low:.1f} to {high:.1f} m/s" if high < inf else f"above {low:.1f} m/s"
-        yield word, level & (speed >= low) & (speed < high), {"speed": (max(low, ROLLING[1]), high), "climb": (-CLIMBING, CLIMBING)} | straight
+        yield (
+            word,
+            level & (speed >= low) & (speed < high),
+            {"speed": (max(low, ROLLING[1]), high), "climb": (-CLIMBING, CLIMBING)} | straight,
+        )
 
 
 def _regime(
-    name: str, where: Mapping[str, tuple[float, float]], edges: Array, Y: Complex, Y_path: Complex, noise: Array, count: NDArray[np.int64]
+    name: str,
+    where: Mapping[str, tuple[float, float]],
+    edges: Array,
+    Y: Complex,
+    Y_path: Complex,
+    noise: Array,
+    count: NDArray[np.int64],
 ) -> tuple[list[Regime], list[str]]:
     """The parts of a regime from spectral matrices (w, c, 6, 6) of its windows and their path, and what is hidden in it."""
     many = len(Y)
     power = np.einsum("wcii->wci", Y).real
     known = np.einsum("wcii->wci", Y_path).real + noise
-    parts = 1 if many < PARTS_FROM[0] else 2 if many < PARTS_FROM[1] else 3
-    g = loudness(power, known, count, parts)
-    C = matrices(Y, Y_path + noise[:, :, None] * np.eye(6), g)
+    parts = 1 if many < PARTS_FROM else 2
+    driving = edges[1:] < DRIVING_HZ
+    C = np.zeros((2 * parts, *Y.shape[1:]), dtype=complex)
+    g, chance, rng = np.empty((many, 2 * parts)), np.empty((many, 2 * parts)), np.random.default_rng(1)
+    for k, own in enumerate((driving, ~driving)):
+        mine = slice(k * parts, (k + 1) * parts)
+        g[:, mine] = loudness(power[:, own], known[:, own], count[own], parts)
+        # what chance alone makes of a vehicle that is always as loud; ordinates under a Hann window count two thirds
+        degrees = count[own][:, None] / 1.5
+        steady = (np.maximum(power[:, own] - known[:, own], 0.0).mean(axis=0) + known[:, own]) * rng.gamma(
+            degrees, 1.0 / degrees, power[:, own].shape
+        )
+        chance[:, mine] = loudness(steady, known[:, own], count[own], parts)
+        C[mine, own] = matrices(Y[:, own], Y_path[:, own] + noise[own, :, None] * np.eye(6), g[:, mine])
     floor = HIDDEN * power.mean(axis=0)
     left = (power - known).mean(axis=0)
     hidden = left < floor
     # the likeliest matrices are those of the usual window; the mean power is that of all
     size = np.sqrt(np.maximum(left, floor) / np.maximum(np.einsum("pcii->ci", C).real, 1e-3 * floor))
     C = C * (size[:, :, None] * size[:, None, :])
-    out = []
-    together, own = _swings(np.log(g))
-    for p, (sigma, time) in enumerate(own):
-        density = np.maximum(np.einsum("cii->ci", C[p]).real, 1e-6 * floor)
-        root = np.sqrt(density)
-        density = table(edges, density)
+    out, cell = [], rows_of(edges)[1]
+    together, swings = _swings(g, chance)
+    for p, (sigma, time) in enumerate(swings):
+        density = np.einsum("cii->ci", C[p]).real
+        root = np.sqrt(np.maximum(density, 1e-6 * floor))
         coherence = C[p] / (root[:, :, None] * root[:, None, :])
         coherence[:, range(6), range(6)] = 1.0
         # windows overlap by half, so half of them count; the loudness is one value a window
@@ -293,13 +333,13 @@ def _regime(
         out.append(
             Regime(
                 name + (f", part {p + 1}" if p else ""),
-                density,
-                _ends(0.5 * (coherence + np.conj(np.swapaxes(coherence, 1, 2)))),
+                table(edges, density),
+                (0.5 * (coherence + np.conj(np.swapaxes(coherence, 1, 2))))[cell],
                 swing_sigma=sigma,
                 swing_time=time,
                 common_sigma=together[0],
                 common_time=together[1],
-                density_sigma=_ends(np.repeat(spread[:, None], 6, axis=1)),
+                density_sigma=np.repeat(spread[cell][:, None], 6, axis=1),
                 **where,
             )
         )
@@ -311,23 +351,36 @@ def _regime(
     return out, [f"{name}, hidden by the path or the noise: {', '.join(words)}"] if words else []
 
 
+def rows_of(edges: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Frequencies of the rows of a table, and the cell that each shows: middles, the outer edges, and both sides of :data:`DRIVING_HZ`."""
+    centres = np.sqrt(edges[:-1] * edges[1:])
+    cell = np.arange(centres.size)
+    split = int(np.sum(edges[1:] < DRIVING_HZ))
+    f = np.concatenate(
+        [edges[:1], centres[:split], edges[split] * np.array([0.999, 1.001]), centres[split:], edges[-1:]]
+    )
+    at = np.concatenate([cell[:1], cell[:split], [max(split - 1, 0), split], cell[split:], cell[-1:]])
+    return f, at
+
+
 def table(edges: Array, density: Array) -> Array:
-    """Densities (c + 2, k) at the edges and middles of cells, straight in logarithms between, that have the mean densities (c, k) in the cells."""
-    centres = np.log(np.sqrt(edges[:-1] * edges[1:]))
-    at = np.concatenate([np.log(edges[:1]), centres, np.log(edges[-1:])])
+    """Densities (rows, k), straight in logarithms between the rows, that have the mean densities (c, k) in the cells.
+
+    Parameters
+    ----------
+    edges : (c + 1,) array
+        Hz.
+    density : (c, k) array
+        Zero where a part is not.
+    """
+    at, cell = rows_of(edges)
     u = (np.arange(16) + 0.5) / 16.0
-    f = edges[:-1, None] + np.diff(edges)[:, None] * u
-    out = density.copy()
+    f = np.log(edges[:-1, None] + np.diff(edges)[:, None] * u)
+    out, aim = np.maximum(density, 1e-30), np.maximum(density, 1e-30)
     for _ in range(8):
-        rows = np.log(_ends(out))
-        mean = np.stack([np.exp(np.interp(np.log(f), at, y)).mean(axis=1) for y in rows.T], axis=1)
-        out *= np.clip(density / mean, 0.5, 2.0) ** 0.7
-    return _ends(out)
-
-
-def _ends(x: Array) -> Array:
-    """A table at the middles of cells, its first and last row repeated at the outer edges."""
-    return np.concatenate([x[:1], x, x[-1:]])
+        mean = np.stack([np.exp(np.interp(f, np.log(at), y)).mean(axis=1) for y in np.log(out[cell]).T], axis=1)
+        out = out * np.clip(aim / mean, 0.5, 2.0) ** 0.7
+    return np.asarray(np.where(density > 0.0, out, 0.0)[cell])
 
 
 def loudness(power: Array, known: Array, count: NDArray[np.int64], parts: int) -> Array:
@@ -347,7 +400,7 @@ def loudness(power: Array, known: Array, count: NDArray[np.int64], parts: int) -
     Factorization by the Itakura-Saito divergence, which is the likelihood of Gaussian signals (Fevotte, Bertin and Durrieu 2009), by
     multiplicative updates.
     """
-    many, cells_, axes = power.shape
+    many, _, axes = power.shape
     V, K = power.reshape(many, -1), known.reshape(many, -1)
     weight = np.repeat(count, axes).astype(np.float64)
     mean = np.maximum(V - K, HIDDEN * V).mean(axis=0)
@@ -356,7 +409,11 @@ def loudness(power: Array, known: Array, count: NDArray[np.int64], parts: int) -
     shape -= shape.mean(axis=0)
     # they begin as the windows that differ most in shape, whatever their loudness
     along = np.linalg.svd(shape, full_matrices=False)[0][:, : max(parts - 1, 1)]
-    start = [along[:, 0].argsort(), (-along[:, 0]).argsort(), (-along[:, -1]).argsort()][:parts] if parts > 1 else [np.arange(many)]
+    start = (
+        [along[:, 0].argsort(), (-along[:, 0]).argsort(), (-along[:, -1]).argsort()][:parts]
+        if parts > 1
+        else [np.arange(many)]
+    )
     chosen = [x[: max(3, many // 5)] if parts > 1 else x for x in start]
     D = np.stack([mean * np.exp(shape[x].mean(axis=0)) for x in chosen]) / parts
     g = np.ones((many, parts))
@@ -404,22 +461,25 @@ def _stretches(edges: Array, inside: NDArray[np.bool_]) -> list[tuple[float, flo
     return [(float(edges[a]), float(edges[b])) for a, b in turns]
 
 
-def _swings(logs: Array) -> tuple[tuple[float, float], list[tuple[float, float]]]:
-    """What all parts swing together, and each by itself: standard deviation (nepers of amplitude) and time (s), of logarithms (w, parts) of loudness.
+def _swings(g: Array, chance: Array) -> tuple[tuple[float, float], list[tuple[float, float]]]:
+    """What all parts swing together, and each by itself: standard deviation (nepers of amplitude) and time (s), of loudnesses (w, parts) of mean 1.
 
-    Windows overlap by half.
+    Windows overlap by half. Of a lognormal loudness the mean is above the median by ``exp(2 sigma^2)``, which gives the size: what a part does when
+    it is all but away does not matter. ``chance`` is what loudnesses look like where there is no swing.
     """
-    y = 0.5 * logs
-    low, middle, high = np.quantile(y, [0.1, 0.5, 0.9], axis=0)
-    y = np.clip(y, middle - 2.0 * (middle - low), middle + 2.0 * (high - middle)) - middle  # a part that is away is away, however far
-    parts = y.shape[1]
-    together = y.mean(axis=1)
-    if parts == 1:
-        return _slow(together, float(together.std())), [(0.0, 5.0)]
-    S = np.cov(y.T)
-    shared = max(0.0, float(S[~np.eye(parts, dtype=bool)].mean()))
-    own = [_slow(y[:, p] - together, float(np.sqrt(max(S[p, p] - shared, 0.0)))) for p in range(parts)]
+    (y, size, shared), (_, own_size, own_shared) = (_sizes(x) for x in (g, chance))
+    together, size = y.mean(axis=1), np.maximum(size - own_size, 0.0)
+    shared = max(0.0, min(shared - own_shared, float(size.mean())))
+    own = [_slow(y[:, p] - together, float(np.sqrt(max(size[p] - shared, 0.0)))) for p in range(y.shape[1])]
     return _slow(together, float(np.sqrt(shared))), own
+
+
+def _sizes(g: Array) -> tuple[Array, Array, float]:
+    """Logarithms of amplitudes about their medians (w, parts), squares of the standard deviations (parts,), and what parts share of them."""
+    y = 0.5 * np.log(g)
+    low, middle, high = np.quantile(y, [0.1, 0.5, 0.9], axis=0)
+    y = np.clip(y, middle - 2.0 * (middle - low), middle + 2.0 * (high - middle)) - middle
+    return y, np.maximum(-middle, 0.0), float(np.cov(y.T)[~np.eye(y.shape[1], dtype=bool)].mean())
 
 
 def _slow(y: Array, sigma: float) -> tuple[float, float]:
@@ -429,8 +489,8 @@ def _slow(y: Array, sigma: float) -> tuple[float, float]:
     y = y - y.mean()
     # autocorrelation (1 + x) exp(-x), x = lag over time, two windows apart so that none overlap
     r = float(np.mean(y[2:] * y[:-2]) / np.mean(y**2))
-    x = np.geomspace(WINDOW_S / SWINGS[1], WINDOW_S / SWINGS[0], 200)
-    x = float(x[np.argmin(np.abs((1.0 + x) * np.exp(-x) - r))])
+    tried = np.geomspace(WINDOW_S / SWINGS[1], WINDOW_S / SWINGS[0], 200)
+    x = float(tried[np.argmin(np.abs((1.0 + tried) * np.exp(-tried) - r))])
     # a window shows the mean over it, which swings less
     u = np.linspace(0.0, 1.0, 100)
     kept = 2.0 * float(np.mean((1.0 - u) * (1.0 + x * u) * np.exp(-x * u)))

@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 #: Slowest speed whose course is used, m/s; longest time constant that is looked for and time over which a gyroscope's drift is taken off, s.
 SLOWEST, DRIFT_S = 3.0, 30.0
+#: Shortest time constant of the random part, s: what is quicker stands in the spectrum of the yaw rate.
+QUICKEST_S = 3.0
 #: Fewest fixes, least rate of turn (rms, rad/s).
 FEWEST, TURNED = 60, 0.02
 #: Largest standard deviations with which axle (m) and compliance (rad per m/s^2) are taken as found.
@@ -107,7 +109,7 @@ def sideslip_of(s: Signals) -> Sideslip | None:
     two = [k for k in (2, 3, 4) if k < left.size]
     r2 = float(np.mean([np.mean(left[k:] * left[:-k]) for k in two])) if two else 0.0
     ratio = float(np.clip(r2 / max(smooth, 1e-12), 0.05, 0.95))
-    time = float(np.clip(-2.0 * step / np.log(ratio), 0.5, DRIFT_S / 3.0))
+    time = float(np.clip(-2.0 * step / np.log(ratio), QUICKEST_S, DRIFT_S / 3.0))
     # neighbours go together, so fewer of them count
     each = scale * np.sqrt(np.diag(np.linalg.inv(normal)) * max(1.0, 2.0 * time / step))
     found = [(float(b), float(e)) for b, e in zip(beta, each, strict=True)]
@@ -115,7 +117,9 @@ def sideslip_of(s: Signals) -> Sideslip | None:
     if each[1] >= SURE_AXLE:
         unknown.append(f"place of the rear axle: {each[1]:.1f} m is its standard deviation, none is taken")
     if each[0] >= SURE_COMPLIANCE:
-        unknown.append(f"sideslip by side force: {np.rad2deg(each[0]):.2f} deg per m/s^2 is its standard deviation, none is taken")
+        unknown.append(
+            f"sideslip by side force: {np.rad2deg(each[0]):.2f} deg per m/s^2 is its standard deviation, none is taken"
+        )
     return Sideslip(float(np.sqrt(smooth)), time, found[1], found[0], found[2], tuple(unknown))
 
 

@@ -16,7 +16,7 @@ from insemu import rotation
 from insemu.errors import InputError
 from insemu.intake import track_of, vehicle_axes
 from insemu.lost import restored
-from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
+from insemu.records import AXES, GnssRecord, Recording, Trajectory
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,9 @@ REGIMES = (
 #: Window over which the velocity of fixes is a straight line of time, to either side, s.
 NEAR_S = 2.0
 #: Segments of a second at rest that a noise level needs: a 6 by 6 spectral matrix and enough degrees of freedom beyond.
-LEAST_RESTING = 20
+LEAST_RESTING = 14
+#: Share of windows that are quieter than what is taken for the quietest of a drive.
+QUIETEST = 0.03
 #: Band in which the level of white noise is looked for, Hz: above the swaying of a vehicle that stands.
 QUIET_HZ = 2.0
 
@@ -147,7 +149,15 @@ class Signals:
         return level, np.where(level >= STANDING, turn, 0.0), -mean[:, 2]
 
     def pieces(self, length: int, step: int, start: float = -np.inf, end: float = np.inf) -> NDArray[np.intp]:
-        """First rows of pieces of so many rows without a gap, inside the fixes and a span."""
+        """First rows of pieces without a gap, inside the fixes and a span.
+
+        Parameters
+        ----------
+        length, step : int
+            Rows of a piece, and from the start of one to that of the next.
+        start, end : float
+            s.
+        """
         first = np.arange(0, self.t.size - length + 1, step)
         begin, stop = self.t[first], self.t[first + length - 1]
         whole = np.abs((stop - begin) / ((length - 1) * self.dt) - 1.0) < 0.02
@@ -177,7 +187,9 @@ def signals_of(recording: Recording) -> Signals:
     return Signals(imu.t, x, imu.dt, fixes, C, tuple(said))
 
 
-def windows_of(recording: Recording, *, top_hz: float | None = None, span: tuple[float, float] | None = None) -> Windows:
+def windows_of(
+    recording: Recording, *, top_hz: float | None = None, span: tuple[float, float] | None = None
+) -> Windows:
     """Cut a drive into windows.
 
     Parameters
@@ -231,7 +243,7 @@ def windows_of_signals(
     t = s.t[first] + 0.5 * WINDOW_S
     speed, turn, climb = s.motion(t)
     more, names = _further(s, first, length, f, z, (speed, turn), top)
-    noise = resting_noise(s, span)
+    noise = sensor_noise(s, span)
     return Windows(t, speed, turn, climb, power, edges, more, names, noise, source, s.said)
 
 
@@ -252,7 +264,7 @@ def spectra(s: Signals, first: NDArray[np.intp], length: int) -> tuple[Array, ND
     x = x - ramp[:, None] * (np.einsum("t,wtk->wk", ramp, x) / float(ramp @ ramp))[:, None, :]
     window = np.hanning(length)
     z = np.fft.rfft(x * window[:, None], axis=1) * np.sqrt(2.0 * s.dt / float(window @ window))
-    return np.fft.rfftfreq(length, s.dt), z
+    return np.asarray(np.fft.rfftfreq(length, s.dt), dtype=float), np.asarray(z, dtype=complex)
 
 
 def within(recording: Recording, span: tuple[float, float] | None) -> Recording:
@@ -265,44 +277,55 @@ def within(recording: Recording, span: tuple[float, float] | None) -> Recording:
     return replace(recording, imu=imu.rows((imu.t >= span[0]) & (imu.t <= span[1])), gnss=gnss)
 
 
-def resting_noise(s: Signals, span: tuple[float, float] | None = None, *, moving: bool = False) -> Array | None:
-    """White density of the sensor (6,) as standstills show it at most; None where it hardly stands.
+def sensor_noise(s: Signals, span: tuple[float, float] | None = None, *, moving: bool = False) -> Array | None:
+    """White density of the sensor (6,), one-sided: the largest that its signals allow; None where it hardly stands.
 
-    A rigid body moves all axes, noise of a sensor is its own. So the noise of an axis is at most what the five others do not explain:
-    ``1 / [inv(S)]_ii`` of the spectral matrix, which an engine that runs raises less than its power. Of the octaves the quietest counts.
+    A rigid body moves all axes, noise of a sensor is its own. So while it stands the noise of an axis is at most what the five others do not explain,
+    ``1 / [inv(S)]_ii`` of the spectral matrix, which an engine that runs raises less than its power; and never more than the quietest windows of
+    the drive show. Of the octaves the quietest counts.
 
     Parameters
     ----------
     s : Signals
     span : (start_s, end_s), optional
     moving : bool
-        All seconds instead, a looser bound.
+        The quietest windows alone where it does not stand.
 
     Notes
     -----
     Of ``K`` segments the inverse of a complex Wishart matrix is too large by ``K / (K - 6)`` in mean (Brillinger 1981, section 7.3).
     """
+    edges = np.geomspace(QUIET_HZ, USABLE * 0.5 / s.dt, 5)
+    length = round(WINDOW_S / s.dt)
+    f, z = spectra(s, s.pieces(length, length, *(span or ())), length)
+    power = np.abs(z) ** 2
+    bands = [power[:, (f >= a) & (f < b)].mean(axis=1) for a, b in pairwise(edges)]
+    quietest = np.min([np.quantile(x, QUIETEST, axis=0) for x in bands], axis=0)
     length = round(1.0 / s.dt)
     first = s.pieces(length, length, *(span or ()))
-    if not moving:
-        first = first[s.motion(s.t[first] + 0.5)[0] < STANDING]
-    if first.size < LEAST_RESTING:
-        return None
-    f, z = spectra(s, first, length)
-    calm = np.abs(z[:, f > QUIET_HZ]).mean(axis=(1)) / np.median(np.abs(z[:, f > QUIET_HZ]).mean(axis=1), axis=0)
-    z = z[calm.max(axis=1) < 3.0]  # a door that is shut, a step on the brake
-    count = len(z)
+    first = first[s.motion(s.t[first] + 0.5)[0] < STANDING]
+    count = 0
+    if first.size >= LEAST_RESTING:
+        f, z = spectra(s, first, length)
+        loud = np.abs(z[:, f > QUIET_HZ]).mean(axis=1)
+        z = z[(loud / np.median(loud, axis=0)).max(axis=1) < 3.0]  # a door that is shut, a step on the brake
+        count = len(z)
     if count < LEAST_RESTING:
-        return None
+        return np.asarray(quietest) if moving else None
     S = np.einsum("wfi,wfj->fij", z, np.conj(z)) / count
     own = 1.0 / np.einsum("fii->fi", np.linalg.inv(S)).real * (count / (count - 6.0))
-    edges = np.geomspace(QUIET_HZ, USABLE * 0.5 / s.dt, 5)
     levels = [np.median(own[(f >= a) & (f < b)], axis=0) for a, b in pairwise(edges)]
-    return np.asarray(np.min(levels, axis=0))
+    return np.asarray(np.minimum(np.min(levels, axis=0), quietest))
 
 
 def _further(
-    s: Signals, first: NDArray[np.intp], length: int, f: Array, z: NDArray[np.complex128], motion: tuple[Array, Array], top: float
+    s: Signals,
+    first: NDArray[np.intp],
+    length: int,
+    f: Array,
+    z: NDArray[np.complex128],
+    motion: tuple[Array, Array],
+    top: float,
 ) -> tuple[Array, tuple[str, ...]]:
     """Features beside the powers (w, k) with names: axes that go together, jerk, sideslip."""
     columns: list[Array] = []

@@ -69,19 +69,27 @@ def render_drives(found: Comparison, path: str | Path, recorded: str, emulated: 
         Card("everything", str(found.everything), word.capitalize(), tone),
     ]
     words = (
-        "Boosted trees see windows of 4 s and say which of two is emulated; the area under their curve is how often they are right. Root mean squares are of "
-        "the windows, regimes counted alike; a feature's own area is below 0.5 where the emulated drive shows less of it."
+        "Boosted trees see windows of 4 s and say which of two is emulated; the area under their curve is how often they are right. "
+        "Root mean squares are of the windows, regimes counted alike; a feature's own area is below 0.5 where the emulated drive shows less of it."
     )
-    header, rows = ["regime", "recorded, s", "emulated, s"], [[k, f"{a:g}", f"{b:g}"] for k, (a, b) in found.seconds.items()]
+    header, rows = (
+        ["regime", "recorded, s", "emulated, s"],
+        [[k, f"{a:g}", f"{b:g}"] for k, (a, b) in found.seconds.items()],
+    )
     caption = f"Emulated over recorded power in dB and the recorded root mean square, in regimes of 30 s and more; alike is within {ALIKE_DB:g} dB."
     sections = [
-        Section("What gives it away", [Text(words), Items([t.words for t in found.telling[:3]]), Table(*telling_rows(found), left=2)]),
+        Section(
+            "What gives it away",
+            [Text(words), Items([t.words for t in found.telling[:3]]), Table(*telling_rows(found), left=2)],
+        ),
         Section("Bands by regime", [Table(*band_rows(found), caption, left=2)]),
         Section("Regimes", [Table(header, rows)]),
         Section("What was assumed", [Items(list(found.said))]),
     ]
     title = f"{Path(emulated).name} against {Path(recorded).name}"
-    return render(title, sections, path, kind="compare-drives", source=recorded, answer=drives_answer(found), cards=cards)
+    return render(
+        title, sections, path, kind="compare-drives", source=recorded, answer=drives_answer(found), cards=cards
+    )
 
 
 def vehicle_rows(found: LearnedVehicle) -> Cells:
@@ -98,7 +106,9 @@ def vehicle_rows(found: LearnedVehicle) -> Cells:
                 f = spectrum.frequencies
                 inside = (f >= low) & (f <= high)
                 share = [
-                    np.sqrt(np.mean(r.density_sigma[inside, a] ** 2) / 2.0) if r.density_sigma is not None and inside.any() else 0.0
+                    np.sqrt(np.mean(r.density_sigma[inside, a] ** 2) / 2.0)
+                    if r.density_sigma is not None and inside.any()
+                    else 0.0
                     for r in (spectrum.regimes[k] for k in parts)
                 ]
                 total = float(power.sum())
@@ -114,8 +124,8 @@ def vehicle_lines(found: LearnedVehicle) -> list[str]:
     s = found.sideslip
     if s is not None:
         out.append(
-            f"sideslip beside turns {np.rad2deg(s.sigma):.2g} deg over {s.time:.2g} s; rear axle {s.axle[0]:.2g} m behind (sigma {s.axle[1]:.2g}); nose "
-            f"into the bend by {np.rad2deg(s.compliance[0]):.2g} deg per m/s^2 (sigma {np.rad2deg(s.compliance[1]):.2g})"
+            f"sideslip beside turns {np.rad2deg(s.sigma):.2g} deg over {s.time:.2g} s; rear axle {s.axle[0]:.2g} m behind (sigma {s.axle[1]:.2g}); "
+            f"nose into the bend by {np.rad2deg(s.compliance[0]):.2g} deg per m/s^2 (sigma {np.rad2deg(s.compliance[1]):.2g})"
         )
     if found.vehicle.jerk is not None:
         out.append(f"jerk density of its path {found.vehicle.jerk:g} m/s^3 per sqrt(Hz)")
