@@ -29,6 +29,7 @@ ROOMS = (
     "solve",
     "transfer",
     "array",
+    "drives",
     "gap",
     "units",
     "errors",

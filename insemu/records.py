@@ -143,6 +143,32 @@ class _Timed:
         return f"{type(self).__name__}: {self.t.size} {kind + ' ' if kind else ''}rows from {self.t[0]:g} to {self.t[-1]:g} s"
 
 
+@dataclass(frozen=True)
+class Sampling:
+    """How a sensor makes a sample of its true signals.
+
+    Parameters
+    ----------
+    average : {"interval", "instant"}
+        Mean over the sampling interval, or value at the stamp.
+    bandwidth : float, optional
+        -3 dB of its low-pass (second order), Hz; none where not given.
+    stamp : {"start", "middle", "end"}
+        Where in its interval the stamp of an average lies.
+    """
+
+    average: Literal["interval", "instant"] = "interval"
+    bandwidth: float | None = None
+    stamp: Literal["start", "middle", "end"] = "end"
+
+    def __post_init__(self) -> None:
+        for name, known in (("average", ("interval", "instant")), ("stamp", ("start", "middle", "end"))):
+            if getattr(self, name) not in known:
+                raise InputError(f"sampling: {name} is '{getattr(self, name)}', expected one of: {', '.join(known)}")
+        if self.bandwidth is not None and not (np.isfinite(self.bandwidth) and self.bandwidth > 0):
+            raise InputError(f"sampling: bandwidth is {self.bandwidth}, expected a positive number of Hz")
+
+
 @dataclass(frozen=True, repr=False)
 class ImuRecord(_Timed):
     """Six axes of inertial data on one clock.
@@ -158,6 +184,8 @@ class ImuRecord(_Timed):
         Integral over the preceding interval, average over it, or value at the stamp.
     temperature : (n,) array, optional
         Sensor temperature in degC.
+    sampling : Sampling, optional
+        How the sensor samples, where somebody says so; ``kind`` is what the values are taken for.
     """
 
     t: Array
@@ -165,6 +193,7 @@ class ImuRecord(_Timed):
     accel: Array
     kind: ImuKind = "sample"
     temperature: Array | None = None
+    sampling: Sampling | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "t", _frozen_times(self.t, "IMU time"))

@@ -38,6 +38,8 @@ COMMANDS: dict[str, str] = {
     "array": "array",
     "watch": "watch",
     "emulate": "emulate",
+    "vehicle": "vehicle",
+    "compare-drives": "compare_drives",
     "errors": "errors",
     "dead-reckon": "dead_reckon",
     "gap": "gap",

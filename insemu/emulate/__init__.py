@@ -1,6 +1,18 @@
 """Emulation: from a trajectory to an ideal IMU, to a corrupted one, to GNSS fixes with outages."""
 
 from insemu.emulate.differenced import Differenced, difference
+from insemu.emulate.dynamics import (
+    MotionSpectrum,
+    Mount,
+    Moving,
+    MovingVehicle,
+    Regime,
+    Slip,
+    preset_file,
+    presets,
+    read_vehicle,
+    vehicle_text,
+)
 from insemu.emulate.errors import RecordedErrors
 from insemu.emulate.flight import Flight, gusts, moving_share, origin_at
 from insemu.emulate.gnss import AreaOutage, Outage, antenna, fixes_at, gnss_fixes, random_outages, state_at
@@ -28,9 +40,15 @@ __all__ = [
     "Flight",
     "Following",
     "IdealImu",
+    "MotionSpectrum",
+    "Mount",
     "Mounting",
+    "Moving",
+    "MovingVehicle",
     "Outage",
     "RecordedErrors",
+    "Regime",
+    "Slip",
     "SmoothPath",
     "SmoothedTrack",
     "Source",
@@ -56,9 +74,12 @@ __all__ = [
     "navigation_error",
     "origin_at",
     "path_of",
+    "preset_file",
+    "presets",
     "profile",
     "random_outages",
     "read_track",
+    "read_vehicle",
     "read_waypoints",
     "recorded_pieces",
     "route",
@@ -66,4 +87,5 @@ __all__ = [
     "smooth_track",
     "state_at",
     "turn_rate",
+    "vehicle_text",
 ]

@@ -21,16 +21,14 @@ from numpy.typing import NDArray
 from insemu import earth, rotation, strapdown
 from insemu.emulate.kernel import invert
 from insemu.emulate.path import Mounting, SmoothPath, sensor_motion
+from insemu.emulate.sampled import sampled
 from insemu.emulate.table import SAMPLE_BYTES, check_size
 from insemu.emulate.trajectory import Flight
 from insemu.errors import InputError, nearest
-from insemu.records import ImuKind, ImuRecord, Trajectory
+from insemu.records import ImuKind, ImuRecord, Sampling, Trajectory
 
 Array = NDArray[np.float64]
 Mode = Literal["exact", "continuous"]
-
-#: Gauss-Legendre points per interval of the ``continuous`` mode.
-QUADRATURE_POINTS = 4
 
 
 @dataclass(frozen=True)
@@ -96,6 +94,7 @@ def ideal_imu(
     mounting: Mounting | None = None,
     gravity: str = "normal",
     span: tuple[float, float] | None = None,
+    sampling: Sampling | None = None,
 ) -> IdealImu:
     """Make the record of a perfect IMU.
 
@@ -116,6 +115,8 @@ def ideal_imu(
         See :mod:`insemu.earth`.
     span : (start_s, end_s), optional
         Part of the path.
+    sampling : Sampling, optional
+        How the sensor really samples (``continuous`` only), whatever the record's ``kind`` says of its values.
 
     Raises
     ------
@@ -143,8 +144,10 @@ def ideal_imu(
         start, end = span if span is not None else (trajectory.start, trajectory.end)
         t = sample_times(start, end, 100.0 if rate_hz is None else rate_hz)
         if mode == "continuous":
-            return _continuous(trajectory, t, kind, mount, gravity)
+            return _continuous(trajectory, t, kind, mount, gravity, sampling)
         nodes = _imu_nodes(trajectory, t, mount)
+    if sampling is not None:
+        raise InputError("a sensor's own sampling needs mode 'continuous': nodes say nothing between them")
     if kind == "sample":
         raise InputError("mode 'exact' makes increments or means; instantaneous samples need mode 'continuous'")
     return _exact(nodes, kind, gravity)[0]
@@ -160,6 +163,7 @@ def ideal_stretches(
     kind: ImuKind = "increment",
     mounting: Mounting | None = None,
     gravity: str = "normal",
+    sampling: Sampling | None = None,
 ) -> Iterator[IdealImu]:
     """What :func:`ideal_imu` makes from the start of a path in stretches, up to rounding: the last row of one is the first of the next.
 
@@ -171,7 +175,7 @@ def ideal_stretches(
         Intervals of a stretch, at most; two or more.
     end_s : float
         Where it ends, s.
-    mode, kind, mounting, gravity
+    mode, kind, mounting, gravity, sampling
         As of :func:`ideal_imu`.
 
     Raises
@@ -186,7 +190,7 @@ def ideal_stretches(
         begin, last = max(first - 1, 0), min(first + size, count)
         t = _times(path.start, end_s, rate_hz, range(begin, last + 1))
         if mode == "continuous":
-            ideal = _continuous(path, t, kind, mount, gravity)
+            ideal = _continuous(path, t, kind, mount, gravity, sampling)
         else:
             ideal, known = _exact(_imu_nodes(path, t, mount), kind, gravity, known)
         r, own = ideal.reference, slice(first - begin, None)
@@ -234,24 +238,26 @@ def _exact(nodes: Trajectory, kind: ImuKind, gravity: str, known: _Known | None 
     return IdealImu(ImuRecord(nodes.t, gyro, accel, kind), reference, "exact", gravity, distance), known
 
 
-def _continuous(path: SmoothPath, t: Array, kind: ImuKind, mount: Mounting, gravity: str) -> IdealImu:
+def _continuous(
+    path: SmoothPath, t: Array, kind: ImuKind, mount: Mounting, gravity: str, sampling: Sampling | None = None
+) -> IdealImu:
     motion = sensor_motion(path, t, mount, gravity)
-    rpy = motion.rpy
-    reference = Trajectory(t, motion.llh, motion.vel_ned, rpy, path.name)
-    if kind == "sample":
-        return IdealImu(ImuRecord(t, motion.w_ib_b, motion.f_ib_b, kind), reference, "continuous", gravity, 0.0)
-    x, weight = np.polynomial.legendre.leggauss(QUADRATURE_POINTS)
-    step = np.diff(t)
-    gyro, accel = np.zeros((t.size, 3)), np.zeros((t.size, 3))
-    for xi, wi in zip(x, weight, strict=True):
-        inner = sensor_motion(path, t[:-1] + 0.5 * (1.0 + xi) * step, mount, gravity)
-        gyro[1:] += (0.5 * wi * step)[:, None] * inner.w_ib_b
-        accel[1:] += (0.5 * wi * step)[:, None] * inner.f_ib_b
-    if kind == "mean":
-        gyro[1:] /= step[:, None]
-        accel[1:] /= step[:, None]
-    gyro[0], accel[0] = gyro[1], accel[1]
-    return IdealImu(ImuRecord(t, gyro, accel, kind), reference, "continuous", gravity, 0.0)
+    reference = Trajectory(t, motion.llh, motion.vel_ned, motion.rpy, path.name)
+    if kind == "sample" and sampling is None:
+        values = np.hstack([motion.w_ib_b, motion.f_ib_b])
+    else:
+
+        def signal(at: Array) -> Array:
+            inner = sensor_motion(path, np.clip(at, path.start, path.end), mount, gravity)
+            return np.hstack([inner.w_ib_b, inner.f_ib_b])
+
+        values = sampled(sampling or Sampling(), t, signal, path.highest)
+        if sampling is None:
+            values[0] = values[1]
+    if kind == "increment":
+        values = values * np.diff(t, prepend=2.0 * t[0] - t[1])[:, None]
+    imu = ImuRecord(t, values[:, :3], values[:, 3:], kind, sampling=sampling)
+    return IdealImu(imu, reference, "continuous", gravity, 0.0)
 
 
 def navigation_error(ideal: IdealImu, imu: ImuRecord | None = None) -> Array:

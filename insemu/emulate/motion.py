@@ -72,6 +72,8 @@ class Command:
         Label of a leg; stretches without a turn are straight.
     speed_in_s : float, optional
         Duration of the change of speed, from the start of the stretch.
+    back : bool
+        In reverse gear: the vehicle goes where its tail points.
     """
 
     duration_s: float
@@ -80,6 +82,7 @@ class Command:
     climb: float = 0.0
     name: str = ""
     speed_in_s: float | None = None
+    back: bool = False
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.duration_s) and self.duration_s > 0):
@@ -149,7 +152,7 @@ def profile(
         rows = (t >= begin - 1e-9) & ((t < begin + c.duration_s - 1e-9) | last)
         tau = t[rows] - begin
         u = tau / c.duration_s
-        target = speed if c.speed is None else c.speed
+        target = speed if c.speed is None else -c.speed if c.back else c.speed
         over = min(c.speed_in_s or c.duration_s, c.duration_s)
         columns[0, rows] = speed + (target - speed) * smoothstep(tau / over)
         columns[1, rows] = (target - speed) / over * smoothstep_slope(tau / over) * (tau <= over)

@@ -69,12 +69,15 @@ class SmoothPath:
         Latitude rad, longitude rad, height m where the map coordinates are zero.
     name : str
         Appears in tables.
+    highest : float
+        Highest frequency of the motion, Hz: what an average over an interval has to follow.
     """
 
     position: Curve
     attitude: Curve
     origin: Array
     name: str = "path"
+    highest: float = 0.1 / KNOT_S
 
     @classmethod
     def from_velocity(
@@ -138,10 +141,11 @@ class SmoothPath:
 
     def vel_ned(self, t: ArrayLike) -> Array:
         """Earth-relative velocity (n, 3) in m/s at times (n,)."""
-        t = self._check(t)
+        return self._vel_ned(self._check(t), self.llh(t))
+
+    def _vel_ned(self, t: Array, llh: Array) -> Array:
         scale_n, scale_e = self._scale()
-        llh, d = self.llh(t), self.position(t, 1)
-        rm, rn = earth.radii(llh[:, 0])
+        d, (rm, rn) = self.position(t, 1), earth.radii(llh[:, 0])
         return np.stack(
             [(rm + llh[:, 2]) * d[:, 0] / scale_n, (rn + llh[:, 2]) * np.cos(llh[:, 0]) * d[:, 1] / scale_e, -d[:, 2]],
             axis=1,
@@ -154,9 +158,9 @@ class SmoothPath:
     def sample(self, t: ArrayLike) -> Trajectory:
         """Nodes of position, velocity and attitude at times (n,); roll and heading in (-pi, pi]."""
         t = np.asarray(t, dtype=float)
-        rpy = self.rpy(t)
+        rpy, llh = self.rpy(t), self.llh(t)
         rpy[:, [0, 2]] = np.pi - (np.pi - rpy[:, [0, 2]]) % (2 * np.pi)
-        return Trajectory(t, self.llh(t), self.vel_ned(t), rpy, self.name)
+        return Trajectory(t, llh, self._vel_ned(self._check(t), llh), rpy, self.name)
 
     def kinematics(self, t: ArrayLike) -> Kinematics:
         """Exact derivatives of the path at times (n,)."""

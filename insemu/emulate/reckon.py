@@ -115,7 +115,7 @@ def dead_reckon(recording: Recording, *, gravity: str = "normal") -> DeadReckoni
 
 
 def _from(imu: ImuRecord, first: int) -> ImuRecord:
-    return ImuRecord(imu.t[first:], imu.gyro[first:], imu.accel[first:], imu.kind)
+    return ImuRecord(imu.t[first:], imu.gyro[first:], imu.accel[first:], imu.kind, sampling=imu.sampling)
 
 
 def _head(imu: ImuRecord) -> dict[str, Any]:

@@ -183,7 +183,7 @@ def corrupt(
     passes.unload(chain.signal, step, kept, gyro, accel)
     if degc is not None and kept.size < n:
         degc = degc[kept]
-    return Corrupted(ImuRecord(chain.stamps[kept], gyro, accel, imu.kind, degc), drawn, components, kept)
+    return Corrupted(ImuRecord(chain.stamps[kept], gyro, accel, imu.kind, degc, imu.sampling), drawn, components, kept)
 
 
 def _run(

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.emulate.commands import read_motion
+from insemu.emulate.dynamics import Moving
 from insemu.emulate.flight import Flight
 from insemu.emulate.laps import repeated
 from insemu.emulate.motion import Leg
@@ -52,7 +53,7 @@ def load_flight(
     waypoints: str | Path | None = None,
     track: str | Path | None = None,
     motion: str | Path | None = None,
-    vehicle: str = "car",
+    vehicle: str | Moving = "car",
     speed: float | None = None,
     max_gap_s: float = 10.0,
     duration_s: float | None = None,
@@ -69,8 +70,8 @@ def load_flight(
         A recording (its GNSS fixes, else its reference) or a CSV (see :func:`read_track`).
     motion : path
         Motion command file (:mod:`insemu.emulate.commands`).
-    vehicle : str
-        For waypoints and tracks.
+    vehicle : str or Moving
+        For waypoints and tracks; one that moves about its path does so on every motion.
     speed : float
         For waypoints without speeds, m/s.
     max_gap_s : float
@@ -83,9 +84,27 @@ def load_flight(
     InputError
         No source or several; a file that cannot be used; a source that ends before ``duration_s``.
     """
+    source = _glided(builtin, waypoints, track, motion, vehicle, speed, max_gap_s, duration_s)
+    if isinstance(vehicle, Moving):
+        return replace(source, flight=replace(source.flight, path=vehicle.on(source.flight.path)))
+    return source
+
+
+def _glided(
+    builtin: str | None,
+    waypoints: str | Path | None,
+    track: str | Path | None,
+    motion: str | Path | None,
+    vehicle: str | Moving,
+    speed: float | None,
+    max_gap_s: float,
+    duration_s: float | None,
+) -> Source:
+    """A flight whose body follows its path, at least as long as asked for."""
     if builtin == "static" and duration_s is not None:
         return Source(static(duration_s))
-    source = _load(builtin, waypoints, track, motion, vehicle, speed, max_gap_s)
+    kind, jerk = (vehicle.vehicle.kind, vehicle.vehicle.jerk) if isinstance(vehicle, Moving) else (vehicle, None)
+    source = _load(builtin, waypoints, track, motion, kind, jerk, speed, max_gap_s)
     length = source.flight.path.end - source.flight.path.start
     if duration_s is not None and duration_s > length + 1e-6:
         if builtin is not None:
@@ -103,6 +122,7 @@ def _load(
     track: str | Path | None,
     motion: str | Path | None,
     vehicle: str,
+    jerk: float | None,
     speed: float | None,
     max_gap_s: float,
 ) -> Source:
@@ -121,7 +141,7 @@ def _load(
         return Source(flight, odd_places(str(motion), flight.path.origin[None], vehicle_of(flight.vehicle)))
     assert track is not None
     recorded = read_track(track)  # its clock may count from 1970; a flight's begins with it
-    smoothed = smooth_track(replace(recorded, t=recorded.t - recorded.t[0]), vehicle, max_gap_s=max_gap_s)
+    smoothed = smooth_track(replace(recorded, t=recorded.t - recorded.t[0]), vehicle, jerk=jerk, max_gap_s=max_gap_s)
     path = smoothed.path
     flight = Flight(path, vehicle, (Leg("track", path.start, path.end, False),))
     return Source(flight, smoothed.warnings, smoothed)

@@ -13,7 +13,12 @@ from insemu.units import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
-VehicleKind = Literal["car", "multirotor", "helicopter", "fixed_wing"]
+VehicleKind = Literal[
+    "car", "multirotor", "helicopter", "fixed_wing", "truck", "tractor", "train", "boat", "walker", "hand"
+]
+
+#: Fastest that goes backwards on the ground or on water, m/s.
+REVERSE = 8.0
 
 
 @dataclass(frozen=True)
@@ -23,7 +28,7 @@ class Vehicle:
     Parameters
     ----------
     name : str
-        ``car``, ``multirotor``, ``helicopter`` or ``fixed_wing``.
+        Key of :data:`VEHICLES`.
     min_speed, max_speed : float
         Horizontal speed, m/s.
     max_acceleration : float
@@ -37,6 +42,9 @@ class Vehicle:
     jerk : float
         Typical jerk density, m/s^3 per sqrt(Hz): how fast the vehicle changes its mind, used when recorded tracks are
         smoothed.
+    lean : float or None
+        Of what goes on the ground or on water: roll out of the curve and nose up when accelerating, rad per g (negative: into the curve, as cant
+        makes a train roll); None for what flies.
     """
 
     name: VehicleKind
@@ -47,6 +55,12 @@ class Vehicle:
     max_turn_rate: float
     max_climb: float
     jerk: float
+    lean: float | None = None
+
+    @property
+    def back(self) -> float:
+        """Fastest in reverse gear, m/s; 0 for what has none."""
+        return 0.0 if self.lean is None else min(REVERSE, self.max_speed)
 
     @property
     def hovers(self) -> bool:
@@ -65,16 +79,18 @@ class Vehicle:
 
         Notes
         -----
-        A car follows the road and leans out of the curve on its springs by 3 deg per g; a fixed wing banks in
+        A car follows the road and leans out of the curve on its springs by 3 deg per g (a train's cant takes about half of the lateral
+        acceleration: EN 13803, cant 150 mm and deficiency 150 mm on a gauge of 1500 mm); a fixed wing banks in
         coordination (``tan(roll) = v w / g``) and carries 3 deg of angle of attack; a rotor craft also tilts to
         accelerate and against its drag.
         """
         g = STANDARD_GRAVITY
         lateral = speed * turn_rate
-        slope = np.arctan2(climb_rate, np.hypot(speed, 3.0))  # soft at standstill, where a slope means nothing
-        if self.name == "car":
-            lean = np.deg2rad(3.0) / g
-            roll, pitch = -lean * lateral, slope + lean * acceleration
+        # soft at standstill, where a slope means nothing; uphill in reverse gear the nose points down
+        slope = np.arctan2(climb_rate * np.where(speed < 0.0, -1.0, 1.0), np.hypot(speed, 3.0))
+        if self.lean is not None:
+            lean = self.lean / g
+            roll, pitch = -lean * lateral, slope + abs(lean) * acceleration
         elif self.name == "fixed_wing":
             roll, pitch = np.arctan2(lateral, g), slope + np.deg2rad(3.0)
         else:
@@ -84,10 +100,16 @@ class Vehicle:
 
 
 VEHICLES: dict[str, Vehicle] = {
-    "car": Vehicle("car", 0.0, 60.0, 5.0, 6.0, 1.2, 8.0, 1.0),
+    "car": Vehicle("car", 0.0, 60.0, 5.0, 6.0, 1.2, 8.0, 1.0, np.deg2rad(3.0)),
     "multirotor": Vehicle("multirotor", 0.0, 25.0, 6.0, 6.0, 2.0, 6.0, 3.0),
     "helicopter": Vehicle("helicopter", 0.0, 80.0, 4.0, 8.0, 0.8, 12.0, 1.5),
     "fixed_wing": Vehicle("fixed_wing", 10.0, 120.0, 4.0, 12.0, 1.0, 12.0, 3.0),
+    "truck": Vehicle("truck", 0.0, 30.0, 2.5, 3.5, 0.6, 3.0, 0.7, np.deg2rad(5.0)),
+    "tractor": Vehicle("tractor", 0.0, 14.0, 2.0, 3.0, 0.8, 2.5, 0.7, np.deg2rad(1.0)),
+    "train": Vehicle("train", 0.0, 90.0, 1.2, 1.5, 0.1, 3.0, 0.3, -0.5),
+    "boat": Vehicle("boat", 0.0, 25.0, 1.5, 3.0, 0.5, 0.5, 0.5, np.deg2rad(10.0)),
+    "walker": Vehicle("walker", 0.0, 4.0, 3.0, 3.0, 2.5, 1.0, 2.0, 0.0),
+    "hand": Vehicle("hand", 0.0, 4.0, 3.0, 3.0, 2.5, 1.0, 2.0, 0.0),
 }
 
 

@@ -1,9 +1,9 @@
 """Routes from waypoints with speeds, under the limits of a vehicle.
 
 Legs are straight, corners are rounded by turns whose lateral acceleration and turn rate stay within the vehicle's,
-speeds are reached within its acceleration. An aircraft that hovers may stop, climb and yaw on the spot, turn back and fly
-with any heading. Read from CSV (``lat, lon[, height][, speed][, heading][, hover]`` with units in the header) or GeoJSON
-(longitude first).
+speeds are reached within its acceleration. A negative speed is one in reverse gear. An aircraft that hovers may stop, climb and yaw
+on the spot, turn back and fly with any heading. Read from CSV (``lat, lon[, height][, speed][, heading][, hover]`` with units in the
+header) or GeoJSON (longitude first).
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ _FOOT = 0.3048
 _COMFORT = 0.5
 #: Longest leg in s and sharpest turn in rad that are taken for meant.
 LONGEST_LEG_S, SHARPEST_TURN = 6 * 3600.0, np.deg2rad(150)
+#: Bend in rad where a vehicle stops or changes gear that is rounding, not a turn on the spot.
+_IN_LINE = np.deg2rad(3.0)
 
 
 @dataclass(frozen=True)
@@ -43,13 +45,13 @@ class Waypoints:
     llh : (n, 3) array
         Latitude rad, longitude rad, height m.
     speed : (n,) array
-        Speed of the leg that starts at each waypoint, m/s (the last is not used).
+        Speed of the leg that starts at each waypoint, m/s (the last is not used); negative in reverse gear.
     source : str
         Appears in messages.
     heading : (n,) array, optional
         Of an aircraft that hovers, rad; NaN: along the course.
     hover : (n,) array, optional
-        Wait of an aircraft that hovers at each waypoint, s.
+        Wait at each waypoint, s: of an aircraft that hovers, or of what goes on the ground.
     """
 
     llh: Array
@@ -262,6 +264,10 @@ class _Legs:
         Of the turns, s.
     free, need : (n - 1,) arrays
         Length of a leg between its turns, and what its changes of speed take of it, m.
+    back : (n - 1,) array of bool
+        Legs in reverse gear; ``course`` is the heading, towards the tail there.
+    wait : (n,) array
+        At the waypoints, s.
     """
 
     length: Array
@@ -273,12 +279,15 @@ class _Legs:
     duration: Array
     free: Array
     need: Array
+    back: NDArray[np.bool_]
+    wait: Array
 
     @classmethod
     def of(cls, waypoints: Waypoints, v: Vehicle) -> _Legs:
         """Legs of waypoints that a vehicle can follow; ``InputError`` where it cannot."""
-        source, llh, cruise = waypoints.source, waypoints.llh, waypoints.speed[:-1].copy()
-        for k, s in enumerate(cruise):
+        source, llh, cruise = waypoints.source, waypoints.llh, np.abs(waypoints.speed[:-1])
+        back = waypoints.speed[:-1] < 0.0
+        for k, s in enumerate(waypoints.speed[:-1]):
             _check_speed(source, k, s, v)
         rm, rn = earth.radii(llh[0, 0])
         scale = np.array([float(rm + llh[0, 2]), float((rn + llh[0, 2]) * np.cos(llh[0, 0]))])
@@ -297,17 +306,27 @@ class _Legs:
                 f"{source}: the leg from waypoint {k + 1} is {length[k] / 1000:.4g} km, {far[k] / 3600:.3g} h at its speed; "
                 "are latitude and longitude swapped?"
             )
-        course = np.unwrap(np.arctan2(leg[:, 1], leg[:, 0]))
+        course = np.unwrap(np.arctan2(leg[:, 1], leg[:, 0]) + np.where(back, np.pi, 0.0))
         angle = np.diff(course)
+        wait = np.zeros(len(llh)) if waypoints.hover is None else np.asarray(waypoints.hover, dtype=float)
+        stands = np.concatenate([[True], (back[1:] != back[:-1]) | (wait[1:-1] > 0.0), [True]])
+        bent = stands[1:-1] & (np.abs(angle) > _IN_LINE)
+        if bent.any():
+            k = int(np.argmax(bent))
+            raise InputError(
+                f"{source}: a {v.name} stops at waypoint {k + 2}, where its heading would change by {np.rad2deg(angle[k]):.0f} deg on the spot; "
+                "stop in line with the next leg"
+            )
         if (np.abs(angle) > SHARPEST_TURN).any():
             k = int(np.argmax(np.abs(angle)))
             raise InputError(
                 f"{source}: waypoint {k + 2} turns by {np.rad2deg(angle[k]):.0f} deg, expected at most 150 deg; add a waypoint beside it"
             )
         ends = cruise[[0, -1]] if v.min_speed > 0 else np.zeros(2)
-        corner = np.concatenate([ends[:1], np.minimum(cruise[:-1], cruise[1:]), ends[1:]])
+        corner = np.concatenate([ends[:1], np.where(stands[1:-1], 0.0, np.minimum(cruise[:-1], cruise[1:])), ends[1:]])
+        angle = np.where(stands[1:-1], 0.0, angle)
         none = np.zeros(0)
-        return cls(length, course, np.diff(llh[:, 2]), angle, cruise, corner, none, none, none)
+        return cls(length, course, np.diff(llh[:, 2]), angle, cruise, corner, none, none, none, back, wait)
 
     def lay_out(self, v: Vehicle) -> None:
         """Turns at the present speeds, and what they leave of every leg."""
@@ -334,7 +353,7 @@ class _Legs:
                 if self.free[k] > 0.0 and v.min_speed == 0.0:
                     self.cruise[k] = max(0.9 * self.cruise[k], 0.5)
                 for j in (k, k + 1):
-                    if j in inner:
+                    if j in inner and self.corner[j] > 0.0:
                         self.corner[j] = max(0.85 * self.corner[j], v.min_speed, 0.3)
                 self.corner[:-1] = np.minimum(self.corner[:-1], self.cruise)
                 self.corner[1:] = np.minimum(self.corner[1:], self.cruise)
@@ -348,6 +367,8 @@ class _Legs:
         """Legs and turns as motion commands."""
         out: list[Command] = []
         for k, cruise in enumerate(self.cruise):
+            if self.wait[k] > 0.0:
+                out.append(Command(float(self.wait[k]), name=f"wait {k + 1}"))
             start, end = self.corner[k], self.corner[k + 1]
             up, down = _change_s(cruise - start, v), _change_s(cruise - end, v)
             at_speed = (self.free[k] - 0.5 * (cruise + start) * up - 0.5 * (cruise + end) * down) / cruise
@@ -355,7 +376,7 @@ class _Legs:
             for seconds, speed in ((up, cruise), (at_speed, cruise), (down, end)):
                 if seconds > 1e-9:  # the climb of a leg is shared by time
                     share = self.climb[k] * seconds / total
-                    out.append(Command(seconds, speed=speed, climb=share, name=f"leg {k + 1}"))
+                    out.append(Command(seconds, speed=speed, climb=share, name=f"leg {k + 1}", back=bool(self.back[k])))
             if k < self.duration.size and self.duration[k] > 0:
                 out.append(Command(float(self.duration[k]), turn=float(self.angle[k])))
         return out
@@ -402,9 +423,11 @@ def route(
     if _stops(waypoints, v):
         return _stop_and_go(waypoints, v, rest_s, name or Path(source).stem)
     legs = _Legs.of(waypoints, v)
-    warnings = odd_places(source, llh, v) + _check_climb(source, v, legs.climb, legs.length, waypoints.speed[:-1])
+    warnings = odd_places(source, llh, v) + _check_climb(
+        source, v, legs.climb, legs.length, np.abs(waypoints.speed[:-1])
+    )
     legs.slow_down(v, source)
-    lost = waypoints.speed[:-1] - legs.cruise
+    lost = np.abs(waypoints.speed[:-1]) - legs.cruise
     if (lost > 1e-9).any():
         k = int(np.argmax(lost))
         warnings += (
@@ -421,9 +444,10 @@ def route(
 
 def _check_speed(source: str, k: int, speed: float, v: Vehicle) -> None:
     least = max(v.min_speed, 0.1)
-    if not least <= speed <= v.max_speed:
+    if not (least <= speed <= v.max_speed or least <= -speed <= v.back):
+        reverse = f", in reverse gear -{least:g} to -{v.back:g}" if v.back else ""
         raise InputError(
-            f"{source}: waypoint {k + 1} asks for {speed:.4g} m/s, a {v.name} does {least:g} to {v.max_speed:g} m/s"
+            f"{source}: waypoint {k + 1} asks for {speed:.4g} m/s, a {v.name} does {least:g} to {v.max_speed:g} m/s{reverse}"
         )
 
 
@@ -431,7 +455,7 @@ def _stops(waypoints: Waypoints, v: Vehicle) -> bool:
     """Whether an aircraft that hovers must stop at the waypoints."""
     asked = waypoints.heading is not None or waypoints.hover is not None
     if not v.hovers:
-        if asked:
+        if waypoints.heading is not None or (waypoints.hover is not None and v.lean is None):
             raise InputError(
                 f"{waypoints.source}: heading and hover are for a multirotor or helicopter, found a {v.name}"
             )

@@ -18,6 +18,7 @@ from insemu.emulate import (
     AreaOutage,
     ErrorPieces,
     IdealImu,
+    Moving,
     Outage,
     RecordedErrors,
     Source,
@@ -27,7 +28,9 @@ from insemu.emulate import (
     gnss_fixes,
     ideal_imu,
     load_flight,
+    preset_file,
     random_outages,
+    read_vehicle,
     recorded_pieces,
     simulated_pieces,
     state_at,
@@ -41,7 +44,7 @@ from insemu.filters import AidUse, InitialSigma, NavigationFilter, Standstill, T
 from insemu.lost import restored
 from insemu.noise import NoiseModel, Spread, load_spread
 from insemu.records import AXES, AidRecord, GnssRecord, ImuRecord, Recording, Trajectory
-from insemu.scenario import Scenario
+from insemu.scenario import Scenario, VehicleKeys
 from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
@@ -93,6 +96,7 @@ class EmulatedWorld:
         self.source, self.truth = scenario.trajectory, scenario.truth
         source = self.source
         inputs = [self.files[name] for name in (source.waypoints, source.track, source.motion) if name]
+        inputs += [self._vehicle_file(source.moving)] if source.moving else []
         #: Says everything that the reference and the ideal signals depend on.
         self.key = key_of(source.model_dump(mode="json"), inputs)
         self._fly()
@@ -116,17 +120,25 @@ class EmulatedWorld:
 
     def _loaded(self) -> Source:
         """The motion."""
-        source = self.source
+        source, own = self.source, self.source.vehicle
+        vehicle = own if isinstance(own, str) else self._moving(own)
         return load_flight(
             builtin=source.builtin,
             waypoints=self.files[source.waypoints] if source.waypoints else None,
             track=self.files[source.track] if source.track else None,
             motion=self.files[source.motion] if source.motion else None,
-            vehicle=source.vehicle,
+            vehicle=vehicle,
             speed=source.speed,
             max_gap_s=source.max_gap,
             duration_s=source.duration,
         )
+
+    def _vehicle_file(self, keys: VehicleKeys) -> Path:
+        return self.files[keys.file] if keys.file else preset_file(keys.preset or "")
+
+    def _moving(self, keys: VehicleKeys) -> Moving:
+        """The vehicle that moves about its path."""
+        return Moving(read_vehicle(self._vehicle_file(keys), keys.conditions), keys.seed, keys.mount)
 
     def _flown(self) -> Flown:
         """The motion and its ideal signals."""
@@ -154,6 +166,7 @@ class EmulatedWorld:
             gravity=source.gravity,
             mounting=source.mounting,
             span=None if source.duration is None and not source.begin else (begin, end),
+            sampling=source.imu,
         )
         return Flown(loaded, ideal)
 

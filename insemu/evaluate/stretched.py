@@ -129,6 +129,7 @@ class StretchedWorld(EmulatedWorld):
         parts = ideal_stretches(
             self.flight.path, source.rate, STRETCH, end_s=self._end, mode=source.mode, kind=source.kind,
             mounting=source.mounting, gravity=source.gravity,
+            sampling=source.imu,
         )  # fmt: skip
         llh, vel, rpy = np.empty((3, keep.size, 3))
         for ideal in parts:
@@ -230,7 +231,13 @@ class StretchedWorld(EmulatedWorld):
         with self._lock:
             self._file.seek(first * 48)
             self._file.readinto(values.data)
-        return ImuRecord(self._t(np.arange(first, last + 1)), values[:, :3], values[:, 3:], self.source.kind)
+        return ImuRecord(
+            self._t(np.arange(first, last + 1)),
+            values[:, :3],
+            values[:, 3:],
+            self.source.kind,
+            sampling=self.source.imu,
+        )
 
 
 def emulated_world(scenario: Scenario, file: str | Path | None = None) -> EmulatedWorld:

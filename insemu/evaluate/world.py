@@ -64,7 +64,8 @@ def input_files(scenario: Scenario, file: str | Path | None) -> dict[str, Path]:
         names.append(scenario.recording.file)
     if scenario.trajectory is not None:
         source = scenario.trajectory
-        names += [name for name in (source.waypoints, source.track, source.motion) if name is not None]
+        own = source.moving.file if source.moving else None
+        names += [name for name in (source.waypoints, source.track, source.motion, own) if name is not None]
     if scenario.truth is not None and scenario.truth.file is not None:
         names.append(scenario.truth.file)
     for design in scenario.designs.values():

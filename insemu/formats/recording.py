@@ -1,6 +1,7 @@
 """Dynamic recordings (IMU, GNSS, reference) as one ``.npz`` or a folder of ``KEY.npy`` and CSV files.
 
-Keys: ``imu_kind`` (increment, mean, sample; default sample), ``imu_t``, ``imu`` (n, 6), optionally ``imu_columns``, ``imu_units`` and
+Keys: ``imu_kind`` (increment, mean, sample; default sample), ``imu_sampling`` (interval or instant; -3 dB of the low-pass in Hz or none; start,
+middle or end: how the sensor samples, where somebody says so), ``imu_t``, ``imu`` (n, 6), optionally ``imu_columns``, ``imu_units`` and
 ``temperature``; ``gnss_t``, ``gnss_llh`` (deg, deg, m), optionally ``gnss_vel_ned``, ``gnss_pos_std_ned``, ``gnss_vel_std_ned``;
 ``ref_t``, ``ref_llh``, ``ref_vel_ned``, ``ref_rpy_deg`` (at ``ref_att_t`` where attitudes have their own times). A key that ends in
 ``_neu`` is the same with up instead of down. A state to start from may be given: ``initial_t``, ``initial_llh`` (deg, deg, m),
@@ -38,6 +39,7 @@ from insemu.records import (
     InitialState,
     Preparation,
     Recording,
+    Sampling,
     Trajectory,
 )
 from insemu.sample_times import sample_times
@@ -259,9 +261,25 @@ def _imu(arrays: Mapping[str, NDArray[Any]], source: str) -> ImuRecord:
         if temperature.shape != t.shape:
             raise InputError(f"has shape {temperature.shape}, expected {t.shape}", where=f"{source}: temperature")
     try:
-        return ImuRecord(t, values[:, :3], values[:, 3:], kind, temperature)
+        return ImuRecord(t, values[:, :3], values[:, 3:], kind, temperature, _sampling(arrays, source))
     except InputError as error:
         raise InputError(error.message, where=source) from None
+
+
+def _sampling(arrays: Mapping[str, NDArray[Any]], source: str) -> Sampling | None:
+    if "imu_sampling" not in arrays:
+        return None
+    where, words = f"{source}: imu_sampling", texts(arrays["imu_sampling"], f"{source}: imu_sampling")
+    try:
+        average, bandwidth, stamp = words
+        return Sampling(average, None if bandwidth == "none" else float(bandwidth), stamp)  # type: ignore[arg-type]
+    except ValueError:
+        raise InputError(
+            f"is {' '.join(words)!r:.60}, expected average, bandwidth in Hz or none, stamp: interval none end",
+            where=where,
+        ) from None
+    except InputError as error:
+        raise InputError(error.message, where=where) from None
 
 
 def _imu_factors(units: list[str], kind: ImuKind, where: str) -> Array:
@@ -409,6 +427,10 @@ def write_recording(path: Path, data: Recording) -> None:
         "imu_t": imu.t,
         "imu": np.hstack([imu.gyro, imu.accel]),
     }
+    if (how := imu.sampling) is not None:
+        arrays["imu_sampling"] = np.array(
+            [how.average, "none" if how.bandwidth is None else repr(how.bandwidth), how.stamp]
+        )
     if imu.temperature is not None:
         arrays["temperature"] = imu.temperature
     arrays |= _of_fixes(gnss)
@@ -441,7 +463,9 @@ def write_recording(path: Path, data: Recording) -> None:
         return
     groups = tuple(f"{group}.csv" for group in _GROUPS)
     with replacing_folder(
-        path, "imu.csv", (*groups, "imu_kind.txt", "initial_*.npy", "aid_*.npy", "origin_*.npy", "prepared_*.npy")
+        path,
+        "imu.csv",
+        (*groups, "imu_kind.txt", "initial_*.npy", "aid_*.npy", "origin_*.npy", "prepared_*.npy", "imu_sampling.npy"),
     ) as partial:
         (partial / "imu_kind.txt").write_text(imu.kind + "\n", encoding="utf-8")
         for group, keys in _GROUPS.items():
@@ -449,7 +473,7 @@ def write_recording(path: Path, data: Recording) -> None:
             if present:
                 header = [_with_unit(n, imu.kind) for names in present.values() for n in names]
                 write_table(partial / f"{group}.csv", header, np.column_stack([arrays[k] for k in present]))
-        for key in (k for k in arrays if k.startswith(("initial_", "aid_", "origin_", "prepared_"))):
+        for key in (k for k in arrays if k.startswith(("initial_", "aid_", "origin_", "prepared_", "imu_sampling"))):
             np.save(partial / f"{key}.npy", arrays[key])
 
 

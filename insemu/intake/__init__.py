@@ -15,10 +15,12 @@ from insemu.formats import Log, Opened, start_said
 from insemu.intake import checks
 from insemu.intake import fixes as fixed
 from insemu.intake.card import Card, Level, Line
+from insemu.intake.fixes import vehicle_axes
+from insemu.intake.motion import track_of
 from insemu.records import AXES, AidRecord, ImuRecord, Recording
 from insemu.variance import missing_values, unit_report
 
-__all__ = ["Card", "Level", "Line", "card_of", "examine"]
+__all__ = ["Card", "Level", "Line", "card_of", "examine", "track_of", "vehicle_axes"]
 
 #: Rows of a log that are looked at for its units.
 _ROWS = 1 << 20

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from insemu import earth
 from insemu.intake.card import Level, Line
-from insemu.intake.checks import NEAR, REFUSES, believed, near
+from insemu.intake.checks import NEAR, REFUSES, SQUARE, believed, mounting, near
 from insemu.intake.motion import (
     Push,
     Track,
@@ -21,6 +21,7 @@ from insemu.intake.motion import (
     scatter,
     thinned,
     turn_of,
+    up_of,
     velocity_track,
 )
 from insemu.records import GnssRecord, ImuRecord, Trajectory
@@ -415,6 +416,27 @@ def against_fixes(imu: ImuRecord, gnss: GnssRecord, found: Agreement | None) -> 
     turn = turn_of(imu, track)
     shift = turn.shift if turn is not None and believed(turn) else 0.0
     return turn, push_of(imu, track, shift)
+
+
+def vehicle_axes(imu: ImuRecord, gnss: GnssRecord | None) -> tuple[tuple[float, float, float] | None, str]:
+    """Roll, pitch and yaw (rad) from the IMU to the axes of its vehicle as gravity and the fixes tell them, and what was found, in words.
+
+    None where the axes are forward-right-down already, or where nothing tells them.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+    gnss : GnssRecord, optional
+    """
+    up, steady = up_of(imu)
+    push = against_fixes(imu, gnss, agreement(gnss))[1] if gnss is not None else None
+    if push is None or steady < 0.9 or not believed(push):
+        return None, "axes as recorded: nothing says how the IMU is mounted"
+    if up[2] < -np.cos(np.deg2rad(SQUARE)) and abs(np.rad2deg(push.yaw)) < SQUARE:
+        return None, "axes forward, right, down as recorded"
+    roll, pitch, yaw = mounting(up, push.yaw)
+    words = f"turned from the IMU's axes to the vehicle's by roll {roll:.0f}, pitch {pitch:.0f}, yaw {yaw:.0f} deg"
+    return (float(np.deg2rad(roll)), float(np.deg2rad(pitch)), float(np.deg2rad(yaw))), words
 
 
 def refused(lines: Sequence[Line]) -> bool:

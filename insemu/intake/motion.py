@@ -143,6 +143,11 @@ def velocity_track(gnss: GnssRecord | Trajectory) -> Track | None:
     return Track(gnss.t[good], gnss.vel_ned[good]) if good.sum() >= 3 else None
 
 
+def track_of(gnss: GnssRecord | Trajectory) -> Track:
+    """Velocities of the receiver, or of its positions where it gives none."""
+    return velocity_track(gnss) or positions_track(gnss)
+
+
 def up_of(imu: ImuRecord) -> tuple[Array, float]:
     """Mean direction of the specific force in the IMU's axes (up, of a vehicle that stays level), and how steady it is (0 to 1)."""
     count = max(1, round(STEP / imu.dt))

@@ -11,6 +11,14 @@ from insemu.report.comparison import (
     render_comparison,
     render_regression,
 )
+from insemu.report.drives import (
+    band_rows,
+    drives_answer,
+    render_drives,
+    telling_rows,
+    vehicle_lines,
+    vehicle_rows,
+)
 from insemu.report.experiment import render_experiment
 from insemu.report.fit import fits_answer, render_fits
 from insemu.report.following import following_answer, render_following, segment_rows
@@ -77,6 +85,7 @@ __all__ = [
     "SMOOTHED",
     "SWEPT",
     "array_answer",
+    "band_rows",
     "beside",
     "budget_lines",
     "burst_said",
@@ -93,6 +102,7 @@ __all__ = [
     "constant_rows",
     "draw_gap",
     "draw_track",
+    "drives_answer",
     "effect_name",
     "factor_rows",
     "filtered_said",
@@ -118,6 +128,7 @@ __all__ = [
     "render_characterisation",
     "render_check",
     "render_comparison",
+    "render_drives",
     "render_experiment",
     "render_fits",
     "render_following",
@@ -141,9 +152,12 @@ __all__ = [
     "solve_rows",
     "sweep_answer",
     "sweep_rows",
+    "telling_rows",
     "transfer_answer",
     "variant_caption",
     "variant_rows",
+    "vehicle_lines",
+    "vehicle_rows",
     "weight_rows",
     "weighting_rows",
 ]

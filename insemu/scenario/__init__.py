@@ -21,6 +21,7 @@ from insemu.scenario.schema import (
     SensorModels,
     TrajectorySource,
     Truth,
+    VehicleKeys,
 )
 from insemu.scenario.shipped import located, shipped_scenarios
 from insemu.scenario.starting import SENSOR, Wish, copy_shipped, first_scenario
@@ -47,6 +48,7 @@ __all__ = [
     "SensorModels",
     "TrajectorySource",
     "Truth",
+    "VehicleKeys",
     "Wish",
     "code_version",
     "copy_shipped",

@@ -9,11 +9,11 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from insemu.effects import AID_KINDS
-from insemu.emulate import TRAJECTORIES, AreaOutage, Mounting, Outage, TemperatureProfile
+from insemu.emulate import TRAJECTORIES, AreaOutage, Mount, Mounting, Outage, TemperatureProfile, preset_file
 from insemu.errors import InputError, nearest, shown
 from insemu.filters import InitialSigma
 from insemu.noise import NoiseModel
-from insemu.records import AXES
+from insemu.records import AXES, Sampling
 from insemu.scenario.design import AxisSource, Design, OrName
 from insemu.scenario.fields import (
     AccelModel,
@@ -56,6 +56,71 @@ class MountingKeys(Section):
     rpy: Angles = Field(default=(0.0, 0.0, 0.0), description="roll, pitch, yaw of the IMU with respect to the vehicle")
 
 
+class SamplingKeys(Section):
+    """How the sensor really samples, whatever ``kind`` takes its values for."""
+
+    average: Literal["interval", "instant"] = Field(
+        default="interval", description="mean over the sampling interval, or value at the stamp"
+    )
+    bandwidth: Hertz | None = Field(default=None, gt=0, description="-3 dB of the sensor's second-order low-pass; none")
+    stamp: Literal["start", "middle", "end"] = Field(
+        default="end", description="where in its interval the stamp of an average lies"
+    )
+
+
+#: Vehicles without a motion of their own (:data:`insemu.emulate.VEHICLES`).
+VehicleName = Literal[
+    "car", "multirotor", "helicopter", "fixed_wing", "truck", "tractor", "train", "boat", "walker", "hand"
+]
+
+
+class MountKeys(Section):
+    """A mount that lets the IMU move in the vehicle."""
+
+    frequency: Hertz = Field(gt=0, description="of its resonance")
+    damping: float = Field(default=0.1, gt=0, le=2, description="share of the critical damping")
+
+
+class VehicleKeys(Section):
+    """A vehicle that shakes, pitches and slips about its path, as its file says (docs/vehicles.md)."""
+
+    preset: str | None = Field(default=None, description="a vehicle that comes with the package, for example car")
+    file: str | None = Field(default=None, description="a vehicle's file, learned from a recording or written by hand")
+    roughness: Literal["A", "B", "C", "D", "E", "F", "G", "H", "low", "high"] | None = Field(
+        default=None, description="of a preset's road (ISO 8608) or rail (ERRI B176)"
+    )
+    wind: Speed | None = Field(
+        default=None, ge=0, le=40, description="mean wind 6 m above the ground, where it flies or floats"
+    )
+    wind_from: Radians | None = Field(default=None, description="where the wind comes from, from north; north")
+    current: tuple[Speed, Radians] | None = Field(default=None, description="of the water: speed, and where it goes to")
+    nose: Literal["course", "target", "wandering", "turning"] | None = Field(
+        default=None, description="where a multirotor or helicopter looks; course"
+    )
+    target: tuple[Radians, Radians] | None = Field(default=None, description="latitude and longitude for nose: target")
+    waves: tuple[Length, Seconds] | None = Field(
+        default=None, description="of a preset that floats: significant height and peak period"
+    )
+    seed: int = Field(default=0, ge=0, description="the same seed is the same motion, in every realization")
+    mount: Annotated[Mount, Made(MountKeys)] | None = Field(default=None, description="resonance of the IMU's mount")
+
+    @model_validator(mode="after")
+    def _one(self) -> VehicleKeys:
+        if (self.preset is None) == (self.file is None):
+            raise InputError("expected one of the keys 'preset' and 'file'")
+        if self.preset is not None:
+            preset_file(self.preset)
+        if (self.nose == "target") != (self.target is not None):
+            raise InputError("expected the key 'target' beside 'nose: target', and nowhere else")
+        return self
+
+    @property
+    def conditions(self) -> dict[str, Any]:
+        """What a preset meets, where it is not what its file says."""
+        keys = ("roughness", "wind", "waves", "wind_from", "current", "nose", "target")
+        return {k: v for k in keys if (v := getattr(self, k)) is not None}
+
+
 class TemperatureKeys(Section):
     """Temperature of the IMU against time, linear between points."""
 
@@ -90,8 +155,8 @@ class TrajectorySource(Section):
     waypoints: str | None = Field(default=None, description="waypoint file (CSV or GeoJSON)")
     track: str | None = Field(default=None, description="recorded track: any file that insemu open reads, or a CSV")
     motion: str | None = Field(default=None, description="motion command file (CSV)")
-    vehicle: Literal["car", "multirotor", "helicopter", "fixed_wing"] = Field(
-        default="car", description="limits and attitude for waypoints and tracks"
+    vehicle: VehicleName | VehicleKeys = Field(
+        default="car", description="limits and attitude for waypoints and tracks; with a file also how the body moves"
     )
     speed: Speed | None = Field(default=None, gt=0, description="speed of waypoint legs whose file gives none")
     max_gap: Seconds = Field(default=10.0, gt=0, description="longest gap of a track that is bridged")
@@ -103,6 +168,9 @@ class TrajectorySource(Section):
         default=None, description="where and how the IMU sits in the vehicle"
     )
     rate: Hertz = Field(default=100.0, gt=0, le=MAX_RATE, description="IMU rate")
+    imu: Annotated[Sampling, Made(SamplingKeys)] | None = Field(
+        default=None, description="how the sensor itself samples (with mode: continuous)"
+    )
     begin: Seconds = Field(
         default=0.0,
         ge=0,
@@ -126,6 +194,11 @@ class TrajectorySource(Section):
             raise InputError(f"unknown trajectory '{value}'" + nearest(value, TRAJECTORIES))
         return value
 
+    @property
+    def moving(self) -> VehicleKeys | None:
+        """The vehicle, where it moves about its path."""
+        return self.vehicle if isinstance(self.vehicle, VehicleKeys) else None
+
     @model_validator(mode="after")
     def _one_source(self) -> TrajectorySource:
         given = [k for k in ("builtin", "waypoints", "track", "motion") if getattr(self, k) is not None]
@@ -133,6 +206,10 @@ class TrajectorySource(Section):
             found = " and ".join(f"'{k}'" for k in given) or "none"
             raise InputError(
                 f"one source of motion is needed: the key 'builtin', 'waypoints', 'track' or 'motion'; found {found}"
+            )
+        if self.imu is not None and self.mode == "exact":
+            raise InputError(
+                "a sensor's own sampling needs a continuous path; expected 'mode: continuous' beside 'imu'"
             )
         if self.kind == "sample" and self.mode == "exact":
             raise InputError(
