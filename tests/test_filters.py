@@ -526,7 +526,8 @@ def test_bad_input_is_named(road):
     imu, gnss, start = flown(road, MODEL_15)
     with pytest.raises(InputError, match="fix at 1 s has no positive standard deviation for position"):
         run_filter(imu, replace(gnss, pos_std_ned=None), start, START_SIGMA, MODEL_15)
-    other = LooselyCoupledEKF(MODEL_15, 0.02).run(imu, gnss, start, START_SIGMA)  # made for another rate: discretised again
+    # made for another rate: discretised again
+    other = LooselyCoupledEKF(MODEL_15, 0.02).run(imu, gnss, start, START_SIGMA)
     np.testing.assert_array_equal(other.nav, LooselyCoupledEKF(MODEL_15, imu.dt).run(imu, gnss, start, START_SIGMA).nav)
     P = np.eye(15)
     P[4, 4] = -1.0

@@ -192,7 +192,8 @@ def test_grouping_changes_no_bit_and_failures_stay_in_their_lane(road):
     with pytest.raises(InputError) as single:
         ekf.run(wrong[0], apart[0], starts[0], cases.START_SIGMA)
     assert isinstance(out[0], InputError) and str(out[0]) == str(single.value)
-    for k, bound in ((1, 1e-12), (5, 1e-12), (2, 1e-8)):  # after the turn corrections are thousands of standard deviations
+    # after the turn corrections are thousands of standard deviations
+    for k, bound in ((1, 1e-12), (5, 1e-12), (2, 1e-8)):
         assert relative(out[k], ekf.run(wrong[k], apart[k], starts[k], cases.START_SIGMA)) < bound
     for k in (3, 4, 6, 7, 8, 9):
         same(out[k], whole[k])
