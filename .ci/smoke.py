@@ -35,7 +35,9 @@ def smoke(path: Path, command: list[str], out: Path) -> tuple[str, str]:
         json.loads(run.stdout)
         if command[0] == "gap":  # what was found is a scenario that runs
             refined = str(out / path.stem / "refined.yaml")
-            run = insemu("run", refined, "--realizations", "1", "--no-pictures", "--output", str(out / f"{path.stem}_run"))
+            run = insemu(
+                "run", refined, "--realizations", "1", "--no-pictures", "--output", str(out / f"{path.stem}_run")
+            )
     return ("FAILED", f"{run.stdout[-2000:]}\n{run.stderr[-4000:]}") if run.returncode else ("passed", "")
 
 
