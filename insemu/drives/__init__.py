@@ -1,8 +1,5 @@
 """What recorded and emulated vehicles do: a drive in bands and regimes, two drives held against each other."""
 
-import sys
-
-from insemu import CalledRoom
 from insemu.drives.compared import ALIKE_DB, Band, Comparison, Telling, compare_drives, unit_of
 from insemu.drives.learned import LearnedVehicle, learn_vehicle, track_for
 from insemu.drives.sideslip import Sideslip
@@ -26,5 +23,3 @@ __all__ = [
     "windows_of",
     "within",
 ]
-
-sys.modules[__name__].__class__ = CalledRoom

@@ -196,7 +196,7 @@ def _fit_robust(series: Series, asked: NoiseModel, options: dict[str, Any]) -> F
     efficiency = float(given.pop("efficiency", EFFICIENCY))
     cleaned = cleaned_curve(series, asked, efficiency)
     result = fit_curve(cleaned.curve, asked, unit=series.unit, name=series.name, **given)
-    details = result.details | {"robust_efficiency": efficiency, "outliers": cleaned.outliers}
+    details = {**result.details, "robust_efficiency": efficiency, "outliers": cleaned.outliers}
     return replace(result, warnings=(*result.warnings, cleaned.outliers.note(series.rate_hz)), details=details)
 
 
