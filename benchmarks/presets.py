@@ -19,7 +19,18 @@ from scipy.signal import butter, sosfiltfilt, welch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from insemu import emulate
+from insemu.emulate import (
+    VEHICLES,
+    Command,
+    Moving,
+    SmoothPath,
+    ideal_imu,
+    origin_at,
+    path_of,
+    preset_file,
+    profile,
+    read_vehicle,
+)
 from insemu.units import STANDARD_GRAVITY
 from tests.shared_data import root
 
@@ -37,16 +48,16 @@ ROADS = "ABCD"
 UNITS = np.array([np.rad2deg(1.0)] * 3 + [1e3 / STANDARD_GRAVITY] * 3)
 
 
-def block(preset: str) -> emulate.SmoothPath:
+def block(preset: str) -> SmoothPath:
     """Ten minutes round a block at the cruising speed; what flies climbs first."""
-    kind, cruise = emulate.VEHICLES[preset], CRUISE[preset]
+    kind, cruise = VEHICLES[preset], CRUISE[preset]
     turn = max(6.0, 0.5 * np.pi * max(cruise / (0.25 * kind.max_lateral), 1.0 / (0.4 * kind.max_turn_rate)) + 4.0)
     climb = 60.0 if kind.lean is None else 0.0
-    commands = [emulate.Command(20.0), emulate.Command(60.0, speed=cruise, climb=climb)]
+    commands = [Command(20.0), Command(60.0, speed=cruise, climb=climb)]
     while sum(c.duration_s for c in commands) < 540.0 - turn - 40.0:
-        commands += [emulate.Command(40.0), emulate.Command(turn, turn=0.5 * np.pi)]
-    commands += [emulate.Command(60.0, speed=0.0, climb=-climb), emulate.Command(20.0)]
-    return emulate.path_of(emulate.profile(commands), kind, emulate.origin_at(46.5, 6.6, 400.0), "block")
+        commands += [Command(40.0), Command(turn, turn=0.5 * np.pi)]
+    commands += [Command(60.0, speed=0.0, climb=-climb), Command(20.0)]
+    return path_of(profile(commands), kind, origin_at(46.5, 6.6, 400.0), "block")
 
 
 def cases() -> Iterator[tuple[str, str, dict[str, object]]]:
@@ -56,15 +67,15 @@ def cases() -> Iterator[tuple[str, str, dict[str, object]]]:
             yield f"{name} {road}".strip(), name, {"roughness": road} if road else {}
 
 
-def moved(preset: str, conditions: dict[str, object], seed: int = 1) -> tuple[emulate.SmoothPath, float]:
+def moved(preset: str, conditions: dict[str, object], seed: int = 1) -> tuple[SmoothPath, float]:
     """The path of a preset, and the speed above which it counts."""
-    vehicle = emulate.read_vehicle(emulate.preset_file(preset), conditions)
-    return emulate.Moving(vehicle, seed).on(block(preset)), 0.9 * CRUISE[preset]
+    vehicle = read_vehicle(preset_file(preset), conditions)
+    return Moving(vehicle, seed).on(block(preset)), 0.9 * CRUISE[preset]
 
 
-def signals(path: emulate.SmoothPath, least: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+def signals(path: SmoothPath, least: float) -> tuple[Array, Array, NDArray[np.bool_]]:
     """What a perfect IMU samples (n, 6), heading less course (n,), and where it moves."""
-    made = emulate.ideal_imu(path, RATE, mode="continuous", kind="sample")
+    made = ideal_imu(path, RATE, mode="continuous", kind="sample")
     r = made.reference
     speed = np.hypot(r.vel_ned[:, 0], r.vel_ned[:, 1])
     off = r.rpy[:, 2] - np.arctan2(r.vel_ned[:, 1], r.vel_ned[:, 0])
@@ -127,12 +138,12 @@ def speed() -> None:
     """Print how fast both layers are made."""
     for preset in ("car", "multirotor"):
         for rate in (100.0, 200.0):
-            emulate.ideal_imu(moved(preset, {})[0], rate)  # compiled
+            ideal_imu(moved(preset, {})[0], rate)  # compiled
             best = np.inf
             for _ in range(3):
                 path = moved(preset, {})[0]
                 started = time.process_time()
-                ideal = emulate.ideal_imu(path, rate)
+                ideal = ideal_imu(path, rate)
                 best = min(best, time.process_time() - started)
             print(
                 f"{preset} at {rate:g} Hz: {len(ideal.imu) / best:,.0f} epochs per CPU second, path within {1e3 * ideal.path_distance_m:.3f} mm"

@@ -298,7 +298,8 @@ class GnssRecord(_Timed):
         if (np.abs(latitude[np.isfinite(latitude)]) > np.pi / 2 + 1e-12).any():
             k = int(np.nanargmax(np.abs(latitude)))
             raise InputError(
-                f"gnss_llh row {k} has a latitude of {latitude[k]:.6g}, expected radians, -pi/2 to pi/2 (numpy.radians of degrees)"
+                f"gnss_llh row {k} has a latitude of {latitude[k]:.6g} rad ({np.degrees(latitude[k]):.6g} deg), expected -pi/2 to pi/2 rad; "
+                "numpy.radians makes them of degrees"
             )
         for name in ("vel_ned", "pos_std_ned", "vel_std_ned"):
             if getattr(self, name) is not None:

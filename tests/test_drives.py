@@ -199,7 +199,7 @@ def test_the_package_for_trees_is_named(recorded: Recording, monkeypatch: pytest
 def test_a_file_is_written_that_a_scenario_drives(recorded: Recording, tmp_path: Path) -> None:
     drive, out = tmp_path / "drive.npz", tmp_path / "my_car.yaml"
     write(drive, recorded)
-    assert CliRunner().invoke(app, ["vehicle", str(drive), "-o", str(out), "--kind", "boot"]).exit_code != 0
+    assert CliRunner().invoke(app, ["vehicle", str(drive), "-o", str(out), "--vehicle", "boot"]).exit_code != 0
     assert not out.exists()
     done = CliRunner().invoke(app, ["vehicle", str(drive), "-o", str(out)])
     assert done.exit_code == 0, done.output
@@ -213,7 +213,7 @@ def test_a_file_is_written_that_a_scenario_drives(recorded: Recording, tmp_path:
         "designs: {a: {gyro: WN(N=0.3 deg/sqrt(h)), accel: WN(N=150 ug/sqrt(Hz))}}\n"
     )
     emulated = tmp_path / "emulated.npz"
-    done = CliRunner().invoke(app, ["emulate", str(scenario), "--out", str(emulated)])
+    done = CliRunner().invoke(app, ["emulate", str(scenario), "--output", str(emulated)])
     assert done.exit_code == 0, done.output
     page = tmp_path / "page.html"
     done = CliRunner().invoke(app, ["compare-drives", str(drive), str(emulated), "--page", str(page)])

@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from insemu.cli import app
 from insemu.errors import InputError
+from insemu.fit import likelihood
 from insemu.fit.covariance import model_covariance
 from insemu.fit.selection import nested, prediction_distance, rank_models, select
 from insemu.noise import AR, GM, RW, WN, NoiseModel, load
@@ -98,7 +99,7 @@ def test_a_long_log_is_fitted_in_pieces_by_integrated_likelihood(tmp_path, monke
     np.save(tmp_path / "log.npy", x)
     arguments = ["fit", str(tmp_path / "log.npy"), "--rate", "100 Hz", "--method", "mli", "--model", "WN() + GM()"]
     held = CliRunner().invoke(app, [*arguments, "--skip", "10 s", "--json"])
-    monkeypatch.setattr("insemu.fit.likelihood.LARGE", 10_000)
+    monkeypatch.setattr(likelihood, "LARGE", 10_000)
     streamed = CliRunner().invoke(app, [*arguments, "--skip", "10 s", "--json"])
     assert held.exit_code == streamed.exit_code == 0, streamed.output
     one, other = (json.loads(r.stdout)["axes"]["log"] for r in (held, streamed))

@@ -223,7 +223,7 @@ def _dynamic(path: Path, **change: Any) -> Path:
         ({"imu_t": None}, "has no 'imu_t'"),
         ({"imu_t": np.r_[0, 1, 2, 2, 3, 4] * 0.01}, "repeats at row 3"),
         ({"gnss_t": [0.05, 0.0]}, "gnss time goes back"),
-        ({"gnss_llh": [[145.0, 7.0, 300.0]] * 2}, "latitude of 145 deg"),
+        ({"gnss_llh": [[145.0, 7.0, 300.0]] * 2}, "(145 deg)"),
         ({"gnss_t": None}, "has no 'gnss_t'"),
         ({"gnss_vel_ned": np.ones((3, 3))}, "gnss_vel_ned: has shape (3, 3), expected (2, 3)"),
         ({"imu": np.array([[{}] * 6] * 6)}, "pickled"),

@@ -213,7 +213,7 @@ def test_waypoints_are_told_from_a_track(tmp_path) -> None:
         (["a.yaml", "--sensor", "ADIS1647O"], "no sensor 'ADIS1647O'.*did you mean 'ADIS16470'"),
         (["a.yaml", "--like", "real_static", "--sensor", "VN-100"], "without --sensor"),
         (["a.yaml", "--track", "none.csv"], "no such track file"),
-        (["a.yaml", "--vehicle", "boat"], "boat"),
+        (["a.yaml", "--vehicle", "submarine"], "submarine"),
         (["there.yaml"], "exists already"),
     ],
 )

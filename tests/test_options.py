@@ -10,13 +10,21 @@ from typing import Any
 import pytest
 from typer.main import get_command
 
+from benchmarks.trial.__main__ import app as trial
 from insemu import units
 from insemu.cli import app
 from insemu.cli.options import ARGUMENTS, OPTIONS, SHORT
 
 ROOT = Path(__file__).resolve().parent.parent
 COMMANDS: dict[str, Any] = dict(get_command(app).commands)  # type: ignore[attr-defined]
-PARAMETERS = [(name, p) for name, command in COMMANDS.items() for p in command.params if p.name != "help"]
+#: The blind trial is a program of the checkout, with options of the same table.
+TRIAL = get_command(trial)
+PARAMETERS = [
+    (name, p)
+    for name, command in {**COMMANDS, "trial": TRIAL}.items()
+    for p in command.params
+    if p.name not in {"help", "install_completion", "show_completion"}
+]
 #: What follows an option of the kind ``'100 Hz'``.
 QUANTITY = re.compile(r"'([\d.]+ \w+)'")
 

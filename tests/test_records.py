@@ -55,7 +55,7 @@ def test_means_and_samples_become_increments() -> None:
 def test_gnss_allows_absent_fixes_only_as_nan() -> None:
     llh = np.array([[0.8, 0.1, 10.0], [np.nan] * 3])
     assert len(GnssRecord(np.array([0.0, 1.0]), llh)) == 2
-    with pytest.raises(InputError, match="latitude of 2578"):
+    with pytest.raises(InputError, match=r"latitude of 45 rad \(2578.31 deg\), expected -pi/2 to pi/2 rad"):
         GnssRecord(np.array([0.0]), np.array([[45.0, 9.0, 100.0]]))
     with pytest.raises(InputError, match="not finite"):
         Trajectory(np.array([0.0, 1.0]), llh, np.zeros((2, 3)), np.zeros((2, 3)))
@@ -140,7 +140,7 @@ def test_widths_follow_stamps_that_are_more_than_jitter() -> None:
     assert mean.gaps(0.15) == [(pytest.approx(0.3), pytest.approx(0.2))]
     # a step at the edge of jitter counts as one
     edge = ImuRecord(np.array([0.0, 1.0, 2.0, 3.02, 4.02]), np.ones((5, 3)), np.ones((5, 3)), "increment")
-    assert edge.widths(0.03)[3, 0] == 1.0
+    assert np.unique(edge.widths(0.03)).size == 1
     assert edge.widths(0.01)[3, 0] == pytest.approx(1.02)
 
 
@@ -172,7 +172,7 @@ def test_a_latitude_is_told_with_its_row() -> None:
     pole = np.array([[np.pi / 2, 0.0, 0.0], [-np.pi / 2, 0.0, 0.0], [np.nan] * 3])
     assert len(GnssRecord(np.arange(3.0), pole)) == 3
     pole[1, 0] = -1.6
-    with pytest.raises(InputError, match=r"gnss_llh row 1 has a latitude of -91\.\d+ deg"):
+    with pytest.raises(InputError, match=r"gnss_llh row 1 has a latitude of -1\.6 rad \(-91\.\d+ deg\)"):
         GnssRecord(np.arange(3.0), pole)
     with pytest.raises(InputError, match=r"gnss_vel_ned has shape \(2, 3\), expected \(3, 3\)"):
         GnssRecord(np.arange(3.0), np.zeros((3, 3)), np.zeros((2, 3)))

@@ -368,7 +368,6 @@ def test_digests_leave_out_what_changes_no_realization(tmp_path: Path) -> None:
         )
         == 5
     )
-    assert digest(read({}), flown="other") != one
     file = tmp_path / "a"
     file.write_text("1")
     assert digest(read({}), {"a": file}) != one
@@ -567,9 +566,8 @@ def test_short_tracks_have_shorter_outages(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("t [s],lat [deg],lon [deg],height [m]\n" + rows)
     lines = first_scenario(tmp_path / "new.yaml", Wish(track=str(tmp_path / "t.csv"))).splitlines()
     assert "    - {start: 30 s, duration: 15 s}" in lines and "    - {start: 60 s, duration: 15 s}" in lines
-    assert (
-        "  track: t.csv" in lines
-        and "  max_gap: 10 s                # longest gap of the track that is bridged" in lines
+    assert "  track: t.csv" in lines and next(line for line in lines if "max_gap" in line).startswith(
+        "  max_gap: 10 s  "
     )
     (tmp_path / "w.csv").write_text("lat,lon,height [m]\n46.5,6.6,400\n46.51,6.6,400\n46.52,6.61,400\n")
     lines = first_scenario(tmp_path / "new.yaml", Wish(track=str(tmp_path / "w.csv"))).splitlines()

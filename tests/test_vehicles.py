@@ -8,8 +8,20 @@ import pytest
 import yaml
 from scipy.signal import csd, welch
 
-from insemu import earth, emulate
-from insemu.emulate import dynamics
+from insemu import earth
+from insemu.emulate import (
+    VEHICLES,
+    Mounting,
+    Moving,
+    SmoothPath,
+    built_in,
+    dynamics,
+    ideal_imu,
+    navigation_error,
+    preset_file,
+    presets,
+    read_vehicle,
+)
 from insemu.emulate.dynamics import Line, MotionSpectrum, Regime, physics, slip
 from insemu.emulate.flight import origin_at
 from insemu.emulate.waypoints import Waypoints, route
@@ -28,7 +40,7 @@ def straight(speed=10.0, seconds=600.0, height=400.0):
     t = np.linspace(0.0, seconds, 9)
     velocity, rpy = np.zeros((2, 9, 3))
     velocity[:, 0] = speed
-    return emulate.SmoothPath.from_velocity(t, velocity, rpy, origin_at(46.0, 7.0, height), "straight")
+    return SmoothPath.from_velocity(t, velocity, rpy, origin_at(46.0, 7.0, height), "straight")
 
 
 def lines(*rows, rate=1.0):
@@ -39,7 +51,7 @@ def lines(*rows, rate=1.0):
 
 
 def felt(path, rate=200.0, **options):
-    imu = emulate.ideal_imu(path, rate, mode="continuous", kind="sample", **options).imu
+    imu = ideal_imu(path, rate, mode="continuous", kind="sample", **options).imu
     return imu.t, np.hstack([imu.gyro, imu.accel])
 
 
@@ -89,8 +101,8 @@ def test_coherences_come_back_with_their_phases(shaken, coloured):
 def test_the_truth_is_one_motion(coloured):
     """Exact increments integrate to the reference to rounding; the motion is the same in any order, in pieces, in another process."""
     path = dynamics.shaken(straight(seconds=60.0), MotionSpectrum(np.array([0.5, 40.0]), (coloured,)), 7)
-    ideal = emulate.ideal_imu(path, 200.0)
-    assert np.abs(emulate.navigation_error(ideal)).max() < 1e-9
+    ideal = ideal_imu(path, 200.0)
+    assert np.abs(navigation_error(ideal)).max() < 1e-9
     # the mechanization adds velocities by the trapezoid: a relative (w dt)^2 / 12 of the displacement at the top of the band, 10 mm
     assert ideal.path_distance_m < 1e-4
     t = np.linspace(0.0, 60.0, 4001)
@@ -137,7 +149,7 @@ def test_a_tilt_shows_gravity_and_an_arm_its_lever():
     _, x = felt(pitching, 100.0)
     inside = slice(500, -500)
     assert np.abs(x[inside, 3]).max() < 1e-3 * G * 0.01 / w + 2e-5
-    moved = felt(pitching, 100.0, mounting=emulate.Mounting((2.0, 0.0, 0.0)))[1]
+    moved = felt(pitching, 100.0, mounting=Mounting((2.0, 0.0, 0.0)))[1]
     # 2 m ahead: the nose goes up with w times the rate
     assert (moved - x)[inside, 5].std() * np.sqrt(2.0) == pytest.approx(2.0 * 0.01 * w, rel=0.01)
 
@@ -213,7 +225,7 @@ def test_a_wing_crabs_and_a_boat_drifts_by_the_triangle_of_velocities(monkeypatc
         ("boat", slip.Slip(current=(3.0, 0.5 * np.pi)), -np.arctan(3.0 / 25.0)),
     ):
         made = dynamics.MovingVehicle("one", kind, lines(((0.0,) * 6, (0.0,) * 6)), slip=given)
-        path = emulate.Moving(made, 1).on(straight(25.0, 60.0))
+        path = Moving(made, 1).on(straight(25.0, 60.0))
         found = path.rpy(np.linspace(20.0, 40.0, 50))[:, 2]
         if kind == "fixed_wing":  # over the ground it goes north at 25 m/s: through the air atan(6 / 25) to the left
             expected = -np.arctan(6.0 / 25.0)
@@ -221,12 +233,10 @@ def test_a_wing_crabs_and_a_boat_drifts_by_the_triangle_of_velocities(monkeypatc
 
 
 def test_the_nose_of_a_multirotor_stays_on_its_target_and_its_thrust_where_it_was():
-    flight = emulate.built_in("lemniscate")
+    flight = built_in("lemniscate")
     target = (flight.path.origin[0] + 4e-5, flight.path.origin[1] + 1e-4)
-    made = emulate.read_vehicle(
-        emulate.preset_file("multirotor"), {"nose": "target", "target": target, "wind": 0.0, "sigma": 0.0}
-    )
-    path = emulate.Moving(replace(made, spectrum=lines(((0.0,) * 6, (0.0,) * 6))), 1).on(flight.path)
+    made = read_vehicle(preset_file("multirotor"), {"nose": "target", "target": target, "wind": 0.0, "sigma": 0.0})
+    path = Moving(replace(made, spectrum=lines(((0.0,) * 6, (0.0,) * 6))), 1).on(flight.path)
     t = np.linspace(100.0, 1000.0, 500)
     off = earth.position_difference(np.tile([*target, flight.path.origin[2]], (t.size, 1)), path.llh(t))
     turn = path.rpy(t)[:, 2] - np.arctan2(off[:, 1], off[:, 0])
@@ -236,11 +246,9 @@ def test_the_nose_of_a_multirotor_stays_on_its_target_and_its_thrust_where_it_wa
         return np.stack([np.cos(p.rpy(t)[:, 0]) * np.cos(p.rpy(t)[:, 1]), np.sin(p.rpy(t)[:, 1])], axis=1)[:, 0]
 
     assert down(path) == pytest.approx(down(flight.path), abs=2e-3)
-    near = emulate.read_vehicle(
-        emulate.preset_file("multirotor"), {"nose": "target", "target": tuple(flight.path.origin[:2])}
-    )
+    near = read_vehicle(preset_file("multirotor"), {"nose": "target", "target": tuple(flight.path.origin[:2])})
     with pytest.raises(InputError, match="m from the target of the nose"):
-        emulate.Moving(near, 1).on(flight.path).rpy(np.array([500.0]))
+        Moving(near, 1).on(flight.path).rpy(np.array([500.0]))
 
 
 def places(*xy):
@@ -338,26 +346,26 @@ def numbers_in(value):
     return int(isinstance(value, int | float) or value in physics.ROADS or value in physics.RAILS)
 
 
-@pytest.mark.parametrize("name", emulate.presets())
+@pytest.mark.parametrize("name", presets())
 def test_a_preset_is_one_file_of_twenty_numbers_with_its_source(name):
-    data = yaml.safe_load(emulate.preset_file(name).read_text())
+    data = yaml.safe_load(preset_file(name).read_text())
     assert 0 < numbers_in(data) <= 20
-    made = emulate.read_vehicle(emulate.preset_file(name))
+    made = read_vehicle(preset_file(name))
     assert len(made.source) > 10
-    assert made.kind in emulate.VEHICLES
+    assert made.kind in VEHICLES
     spectrum = made.spectrum
     assert all(np.isfinite(r.density).all() for r in spectrum.regimes)
     with pytest.raises(InputError, match="no part of the vehicle has the condition"):
-        emulate.read_vehicle(emulate.preset_file(name), {"nonsense": 1.0})
+        read_vehicle(preset_file(name), {"nonsense": 1.0})
 
 
 def test_conditions_change_what_they_name():
-    plain, rough = (emulate.read_vehicle(emulate.preset_file("car"), c) for c in (None, {"roughness": "D"}))
+    plain, rough = (read_vehicle(preset_file("car"), c) for c in (None, {"roughness": "D"}))
     k = next(k for k, r in enumerate(plain.spectrum.regimes) if r.name == "18 m/s")
     assert rough.spectrum.rms(k, 0.5, 2.0)[5] / plain.spectrum.rms(k, 0.5, 2.0)[5] == pytest.approx(
         4.0, rel=0.02
     )  # two classes
-    assert emulate.read_vehicle(emulate.preset_file("boat"), {"current": (1.0, 0.0)}).slip.current == (1.0, 0.0)
+    assert read_vehicle(preset_file("boat"), {"current": (1.0, 0.0)}).slip.current == (1.0, 0.0)
 
 
 def scenario_of(tmp_path, preset, builtin, realizations):
@@ -396,7 +404,7 @@ def test_a_matched_filter_stays_matched(tmp_path, preset, builtin):
 
 
 @pytest.mark.slow(reason="sixty runs of each of ten vehicles")
-@pytest.mark.parametrize("preset", emulate.presets())
+@pytest.mark.parametrize("preset", presets())
 @statistical(1e-2, 4, power=0.99)
 def test_matched_filters_stay_matched_on_every_preset(tmp_path, preset):
     builtin = {"fixed_wing": "turbulent_uav", "multirotor": "lemniscate", "helicopter": "helicopter_mapping"}.get(

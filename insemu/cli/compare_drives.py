@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from insemu.cli.options import argument, option
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -13,12 +15,12 @@ if TYPE_CHECKING:
 
 
 def command(
-    recording: str = typer.Argument(..., metavar="RECORDING", help="A recorded drive or flight, with fixes."),
-    emulated: str = typer.Argument(..., metavar="EMULATED", help="The emulated one (insemu emulate), or another."),
-    column_map: str = typer.Option("", "--map", help="Columns and settings of RECORDING, as of `insemu open`."),
-    seed: int = typer.Option(1, "--seed", min=0, help="Of the folds by which windows are held out."),
-    page: str = typer.Option("", "--page", help="Write a page with all tables (HTML)."),
-    as_json: bool = typer.Option(False, "--json", help="Print the result as JSON on standard output."),
+    recording: str = argument("RECORDING"),
+    emulated: str = argument("EMULATED"),
+    column_map: str = option("--map", ""),
+    seed: int = option("--seed", 1, "Of the folds by which windows are held out."),
+    page: str = option("--page", ""),
+    as_json: bool = option("--json", False),
 ) -> None:
     """Ask whether an emulated drive moves as a recorded one: area under the curve of a classifier, and which features give it away.
 

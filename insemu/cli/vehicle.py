@@ -4,31 +4,23 @@ from __future__ import annotations
 
 import typer
 
+from insemu.cli.options import argument, option
+
 
 def command(
-    recording: str = typer.Argument(..., metavar="RECORDING", help="A recorded drive or flight, with fixes."),
-    out: str = typer.Option(
-        ..., "--out", "-o", help="Vehicle file to write (YAML); a scenario takes it as vehicle: {file: ...}."
-    ),
-    kind: str = typer.Option(
-        "car", "--kind", help="car, fixed_wing, multirotor, ...: the attitude that its path asks for."
-    ),
-    model: str = typer.Option(
-        "", "--model", help="Noise models of the sensor (YAML of insemu fit -o or insemu sensor -o)."
-    ),
-    sensor_out: str = typer.Option(
-        "", "--sensor-out", help="Also write the sensor's noise that was taken off, as noise models."
-    ),
-    column_map: str = typer.Option("", "--map", help="Columns and settings of RECORDING, as of `insemu open`."),
-    span: tuple[str, str] | None = typer.Option(
-        None, "--span", help="A part of it: first and last time, such as 0 s 300 s."
-    ),
-    name: str = typer.Option("", "--name", help="Name of the vehicle; default that of the recording."),
-    as_json: bool = typer.Option(False, "--json", help="Print what was found as JSON on standard output."),
+    recording: str = argument("RECORDING"),
+    out: str = option("--output", ..., "Vehicle file to write (YAML); a scenario takes it as vehicle: {file: ...}."),
+    kind: str = option("--vehicle", "car"),
+    models: str = option("--models", ""),
+    sensor_out: str = option("--sensor-output", ""),
+    column_map: str = option("--map", ""),
+    span: tuple[str, str] | None = option("--span", None),
+    name: str = option("--name", ""),
+    as_json: bool = option("--json", False),
 ) -> None:
     """Learn a vehicle from a recording: spectra and phases of the six axes by regime, sideslip, jerk, with standard deviations.
 
-    The sensor's noise is taken off as standstills show it, or as --model says. What the recording cannot tell is printed and stands in the file.
+    The sensor's noise is taken off as standstills show it, or as --models says. What the recording cannot tell is printed and stands in the file.
     """
     import json
     from pathlib import Path
@@ -44,13 +36,13 @@ def command(
     from insemu.whole import put
 
     if kind not in VEHICLES:
-        raise InputError(f"unknown vehicle '{kind}'" + nearest(kind, VEHICLES), where="--kind")
+        raise InputError(f"unknown vehicle '{kind}'" + nearest(kind, VEHICLES), where="--vehicle")
     console = Console(stderr=as_json, highlight=False)
     found = learn_vehicle(
         formats.open_files(recording, maps=(column_map, "", "")).recording(),
         kind=kind,
         name=name or Path(recording).stem,
-        models=load(model) if model else None,
+        models=load(models) if models else None,
         span=None if span is None else (units.parse(span[0], "s"), units.parse(span[1], "s")),
     )
     put(out, vehicle_text(found.vehicle))

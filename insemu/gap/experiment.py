@@ -162,7 +162,7 @@ def primitives(origin: Array, vehicle: str) -> list[Manoeuvre]:
         Key of :data:`insemu.emulate.VEHICLES`.
     """
     v = VEHICLES[vehicle]
-    slow = max(8.0, 1.5 * v.min_speed)
+    slow = min(max(8.0, 1.5 * v.min_speed), 0.5 * v.max_speed)
     fast = min(20.0 if v.min_speed == 0.0 else 2.5 * v.min_speed, 0.8 * v.max_speed)
     radius = max(40.0, slow**2 / (0.25 * v.max_lateral), 3.0 * slow)
     around = np.arange(0.0, 2.0 * math.pi, math.radians(30.0))[1:]
