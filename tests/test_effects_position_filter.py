@@ -100,6 +100,7 @@ def test_its_signature_is_the_finite_difference_of_the_whole_filter(tau) -> None
     assert (difference @ predicted) / (predicted @ predicted) == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow(reason="a whole search on a drive of another simulator")
 def test_filtered_positions_of_another_simulator_are_named_with_their_time_constant() -> None:
     world, (hidden,), _ = drawn(judge.Job("rarer", 20, 240.0, True))
     assert hidden.effect == "gnss_position_filter"

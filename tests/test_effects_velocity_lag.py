@@ -79,6 +79,7 @@ def recorded(drive, offset: float, lag: float) -> Recording:
     return drive.record(tuple(([late] if offset else []) + ([use(lag=lag)] if lag else [])))
 
 
+@pytest.mark.slow(reason="a whole search behind two faults of time")
 def test_both_faults_of_time_are_settled_before_the_search(drive) -> None:
     first = Flown.of(recorded(drive, 0.25, 0.3), drive.nominal)
     offset, lag = find_times(first)

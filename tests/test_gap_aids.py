@@ -176,6 +176,7 @@ def test_what_an_aid_is_off_by_is_named_with_its_size(folder, name: str) -> None
     assert first.confidence > 0.9
 
 
+@pytest.mark.slow(reason="a whole search with an odometer")
 def test_an_odometer_that_is_wrong_costs_metres_in_outages_and_its_noise_does_not_hide_the_rest(folder) -> None:
     scale, lag, off = HIDDEN["scale"][0], HIDDEN["lag"][0], HIDDEN["offset"][0]
     found = {s.effect: s for s in looked(recorded(folder, scale, lag, off), nominal(folder)).findings}
@@ -271,6 +272,7 @@ def test_it_is_refused_before_the_search(folder) -> None:
     assert not any("effect" in words for words in said)
 
 
+@pytest.mark.slow(reason="a whole search with an odometer")
 def test_a_wheel_across_whose_way_nothing_moves_may_be_turned_by_much(plain) -> None:
     """Its other rows are often held at zero: they say nothing of a unit, and 12 degrees is a misalignment."""
     recording, _, flown, _ = plain

@@ -376,6 +376,7 @@ def test_white_noise_of_shaking_hides_no_random_walk() -> None:
     assert more == pytest.approx(report.unresolved[5])
 
 
+@pytest.mark.slow(reason="a whole search on a flight that shakes")
 def test_velocities_that_were_raised_for_shaking_come_back_each_by_itself() -> None:
     """A random walk had raised north velocities of a train 5 times, east ones 2 times: together they came back to half, and north was noise."""
     world = sensors.draw_world(500008, 360.0, True)

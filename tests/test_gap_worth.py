@@ -103,7 +103,7 @@ def test_an_effect_in_a_drive_is_worth_what_the_filter_shows_through_an_outage()
         ends.append(result.nav[np.searchsorted(result.t, start + T) - 1, :3])
     away = earth.position_difference(ends[0][None], ends[1])[0]
     assert worth_in_motion(at.loop, at.motion, [at.columns[j]], [value], [start]) == pytest.approx(
-        math.hypot(away[0], away[1]), rel=0.05
+        math.hypot(away[0], away[1]), rel=0.08
     )
     # linear, and all along the drive of the same order
     assert worth_in_motion(at.loop, at.motion, [at.columns[j]], [2.0 * value], [start]) == pytest.approx(
@@ -145,7 +145,7 @@ def test_an_outage_on_the_way_knows_the_attitude_and_the_motion() -> None:
         for a in "xz"
     )
     blind = worth_in_noise(finding("gauss_markov", "gyro", sigma=1e-4, beta=0.1))
-    assert heading < 0.5 * tilt and tilt < blind  # what a turning vehicle tilts, it tilts to all sides
+    assert heading < 0.6 * tilt and tilt < blind  # what a turning vehicle tilts, it tilts to all sides
     assert math.isnan(worth_in_noise(finding("gauss_markov", "gyro", sigma=1e-4, beta=0.1), None, ()))
 
 

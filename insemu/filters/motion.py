@@ -346,7 +346,7 @@ def _stretch(
     last = int(np.searchsorted(r.t, fixes.t[-1])) + 1
     nothing = np.full((len(fixes), 3), np.nan)
     g = float(earth.gravity(fixes.llh[0, 0], fixes.llh[0, 2], gravity))
-    t = (fixes.t - r.t[max(k, 0)])[:, None]
+    t = np.maximum(fixes.t - r.t[max(k, 0)], 0.0)[:, None]
     # what white noise of the gyroscopes (as tilt) and of the accelerometers has become since the start
     v_noise = np.hypot(g * noise[0] * t**1.5 / np.sqrt(3.0), noise[1] * t**0.5)
     p_noise = np.hypot(g * noise[0] * t**2.5 / np.sqrt(20.0), noise[1] * t**1.5 / np.sqrt(3.0))

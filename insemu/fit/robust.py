@@ -128,7 +128,7 @@ def rejection_limit(efficiency: float) -> float:
     Examples
     --------
     >>> round(rejection_limit(0.6), 2)
-    2.39
+    2.37
     """
     if not 0.4 <= efficiency <= 0.99:
         raise InputError(f"efficiency is {efficiency}, expected 0.4 to 0.99")

@@ -88,7 +88,7 @@ def find_times(
         if offset not in known:
             progress(f"time offset {1e3 * offset:.0f} ms")
             known[offset] = _tried(
-                start.prepared.on(_moved(start.recording, offset)) if offset else start.prepared, lags
+                start.prepared.shifted(_moved(start.recording, offset)) if offset else start.prepared, lags
             )
         return known[offset]
 
@@ -122,7 +122,7 @@ def find_times(
         lag, left = best.lag, best
         for _ in range(MOST_LAGS):  # the signature is linear: what it leaves is looked for again
             progress(f"lag of the velocities {1e3 * lag:.0f} ms")
-            left = _tried(start.prepared.on(_moved(start.recording, offset, lag)), lags)
+            left = _tried(start.prepared.shifted(_moved(start.recording, offset, lag)), lags)
             lag += left.lag
             if abs(left.lag) < left.sd:
                 break

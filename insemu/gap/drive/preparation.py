@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu import earth
 from insemu.effects import Motion
 from insemu.errors import InputError
 from insemu.filters import (
@@ -142,6 +143,24 @@ class Prepared:
             self, start=(initial, sigma), rectified=None, steadied=False, raised=np.ones(6), recorded=None,
             first=_stood_on(recording, imu, gnss), began=float(recording.imu.t[0]),
         ).again(imu=imu, gnss=gnss)  # fmt: skip
+
+    def shifted(self, recording: Recording) -> Prepared:
+        """The same filter on the same rows with other stamps: where the fixes are at the new time of the start, its attitude as it was.
+
+        An alignment of its own for every offset that is tried would cost seconds each and move the attitude by less than it is uncertain.
+        """
+        new = recording.gnss
+        if recording.reference is not None or recording.initial is not None or new is None:
+            return self.on(recording)
+        imu = recording.imu.rows(slice(len(recording.imu) - len(self.imu), None))
+        state, sigma = self.start
+        there, before = (_on_track(g, float(t)) for g, t in ((new, imu.t[0]), (self.gnss, self.imu.t[0])))
+        moved = earth.position_difference(there[0], before[0])
+        start = NavState(earth.move(state.llh, moved), state.vel_ned + there[1] - before[1], state.rpy)
+        return replace(
+            self, start=(start, sigma), rectified=None, steadied=False, raised=np.ones(6), recorded=None,
+            first=_stood_on(recording, imu, new), began=float(recording.imu.t[0]),
+        ).again(imu=imu, gnss=with_sigma(new, self.nominal))  # fmt: skip
 
     def on_arm(self, corrected: Prepared, arm: Array) -> Prepared:
         """The same with velocities of an antenna that swings on another lever arm.
@@ -418,6 +437,15 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
     sigma = found.sigma.to_array()
     sigma[:6], sigma[6:] = np.hypot(sigma[:6], own.to_array()[:6]), np.maximum(sigma[6:], own.to_array()[6:])
     return imu.rows(slice(found.row, None)), gnss, state, InitialSigma(sigma[:3], sigma[3:6], sigma[6:])
+
+
+def _on_track(gnss: GnssRecord, t: float) -> tuple[Array, Array]:
+    """Place (rad, rad, m) and velocity (m/s, NED) of the positions at a time, on the line through the two that are nearest before and after."""
+    use = np.isfinite(gnss.llh).all(axis=1)
+    times, llh = gnss.t[use], gnss.llh[use]
+    k = int(np.clip(np.searchsorted(times, t) - 1, 0, times.size - 2))
+    velocity = earth.position_difference(llh[k + 1], llh[k]) / (times[k + 1] - times[k])
+    return earth.move(llh[k], velocity * (t - times[k])), velocity
 
 
 def _check_upright(imu: ImuRecord, reference: Trajectory, source: str) -> None:
