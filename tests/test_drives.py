@@ -104,6 +104,7 @@ def test_phases_between_axes_come_back(learned: MovingVehicle) -> None:
     assert np.abs(other.mean() / whole.mean()) < 0.1
 
 
+@pytest.mark.slow(reason="trees on windows of whole drives")
 def test_two_drives_of_one_vehicle_are_alike_and_a_glide_is_told(
     way: Recording, known: MovingVehicle, recorded: Recording
 ) -> None:

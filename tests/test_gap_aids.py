@@ -163,6 +163,7 @@ def test_good_aids_have_no_findings(plain, folder) -> None:
     assert min(w.p_value for w in found.after) > 1e-4
 
 
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 @pytest.mark.parametrize("name", HIDDEN)
 def test_what_an_aid_is_off_by_is_named_with_its_size(folder, name: str) -> None:
     use, label, value = HIDDEN[name]
@@ -187,6 +188,7 @@ def test_an_odometer_that_is_wrong_costs_metres_in_outages_and_its_noise_does_no
     assert found["barometer_offset"].metres < 0.1
 
 
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_the_last_part_of_an_aid_judges_what_its_first_part_names(folder) -> None:
     recording, believed = recorded(folder, HIDDEN["scale"][0], HIDDEN["offset"][0]), nominal(folder)
     flown = Flown.of(*drive_without(recording, believed))
@@ -203,6 +205,7 @@ def test_the_last_part_of_an_aid_judges_what_its_first_part_names(folder) -> Non
     assert gain.high < found.held_out["barometer"].low
 
 
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_an_effect_that_is_left_out_is_not_named(plain) -> None:
     odometer = next(a for a in plain[0].aids if a.kind == "odometer")
     long = replace(odometer.rows(odometer.t < 150.0), values=1.01 * odometer.values[odometer.t < 150.0])

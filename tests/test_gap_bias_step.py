@@ -62,6 +62,7 @@ def test_the_response_to_a_step_is_that_of_its_signal() -> None:
         np.testing.assert_allclose(column, window, atol=1e-9 * np.abs(whole).max())
 
 
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_a_step_in_a_drive_is_named_with_its_time_and_closes_the_gap() -> None:
     world, (hidden,), (worth,) = drawn(judge.Job("jump", 660002, 240.0, True))
     assert worth > 20.0

@@ -785,6 +785,7 @@ def test_a_wrong_lever_arm_is_named_and_the_gap_closes() -> None:
     assert math.isfinite(report.to_json()["gap_index"]["after"]["value"])
 
 
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_held_out_figures_of_another_process_are_the_same() -> None:
     """Under a policy of the caller's, too, which another process does not know by itself."""
     made, nominal = recording(use(effect="lever_arm", value=[0.3, 0, 0]), seed=5), believed(np.random.default_rng(5))
@@ -855,6 +856,7 @@ def test_a_drive_does_not_start_at_a_position_that_is_far_from_its_neighbours() 
     assert (np.abs(away) < 4.0 * np.asarray(sigma.position)).all() and np.abs(away).max() < 5.0
 
 
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 @pytest.mark.parametrize(
     "reference", [True, pytest.param(False, marks=pytest.mark.slow(reason="another case of a quick test"))]
 )

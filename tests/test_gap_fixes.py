@@ -287,6 +287,7 @@ def test_the_filter_runs_again_without_what_it_was_led_astray_by() -> None:
     assert flown[0] == 0 and 2 <= len(flown) <= MOST_RUNS
 
 
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_a_step_that_a_filter_follows_within_a_few_fixes_is_found() -> None:
     """At 4 Hz evenly spaced starts are 12 fixes apart: of 93 nats none was seen."""
     step = sensors.Hidden("gnss_multipath_step", "gnss", "east", {"value": 0.146, "start": 97.98, "duration": 80.87})
@@ -327,6 +328,7 @@ def test_a_step_whose_fixes_were_told_outliers_is_named() -> None:
         assert values[name].low < true < values[name].high
 
 
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_a_lever_arm_shows_beside_a_colour_that_took_its_slow_part() -> None:
     """A train that hardly turns: 106 s of correlation were named for 13 s beside 1.6 m, of which 2 nats were left."""
     colour = sensors.Hidden("gnss_correlated_noise", "gnss", "", {"sigma": 4.54, "tau": 13.2})
@@ -474,6 +476,7 @@ def test_a_loose_fix_says_nothing_of_those_behind_it_and_keeps_its_own_covarianc
 @pytest.mark.parametrize(
     "size", [1e4, pytest.param(1e6, marks=pytest.mark.slow(reason="another case of a quick test"))]
 )
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_outliers_of_a_receiver_that_is_lost_are_no_more_than_that(size: float) -> None:
     """Fixes somewhere else on Earth: their squares, and those by which a filter hardly follows them, left no digits for the others."""
     made, hit = with_outliers(recording(), 0.03, size)
@@ -569,6 +572,7 @@ def test_known_outliers_of_positions_and_velocities_are_told_together(colour: bo
         assert np.isin(gone, hit).sum() >= gone.size - 2, what
 
 
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_a_report_says_which_fixes_are_outliers() -> None:
     """Beside a step that is worth a further pass, which begins with those that the search told."""
     step = use(effect="gnss_multipath_step", value=[0.0, 2.2, 0.0], start=120.4, duration=40.0)

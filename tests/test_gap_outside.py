@@ -29,6 +29,7 @@ def test_what_is_outside_is_not_lost_behind_what_follows() -> None:
     assert report.verdict == "unexplained"
 
 
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_a_slow_process_gives_way_to_shapes_of_two_sensors() -> None:
     """A scale factor of a gyroscope (80 nats) and a temperature coefficient of an accelerometer (75) were one random walk of 89."""
     measured, nominal = taken(*drawn(Job("two", 850202, 360.0, True, False, False))[:2])

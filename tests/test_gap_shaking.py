@@ -354,6 +354,7 @@ AT_50_HZ = sensors.Logger(imu_hz=50)
     ("seed", "leaves"),
     [pytest.param(530027, False, marks=pytest.mark.slow(reason="another case of a quick test")), (530038, True)],
 )
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_a_quadrotor_at_50_hz_lacks_nothing(seed: int, leaves: bool) -> None:
     """Named of it were a lever arm of 43 nats, as velocities between two samples were taken for straight, and bias instability of 23."""
     world = sensors.draw_world(seed, 360.0, True, logger=AT_50_HZ)

@@ -91,6 +91,7 @@ def test_receivers_that_state_always_the_same_have_one_kind() -> None:
     assert len(fixes._colours(Surrogate.of(nominal_run()[0]))) == 1
 
 
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_the_error_of_a_receiver_s_filter_is_named_and_no_steps() -> None:
     """It jumps where satellites come back: a step was named there, beside a slow error three times as large as most of it."""
     made = recording()
@@ -136,6 +137,7 @@ def received(white: float, seed: int) -> Recording:
         pytest.param(3, marks=pytest.mark.slow(reason="another case of a quick test")),
     ],
 )
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_a_level_that_was_named_before_a_colour_is_asked_again_beside_it(seed: int) -> None:
     """It kept within its tolerance of what it was without the colour, for the horizontal axes and the height apart, with an interval as narrow."""
     report = looked(received(0.1, seed))

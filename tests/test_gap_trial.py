@@ -272,6 +272,7 @@ def test_recordings_of_a_plan_do_not_depend_on_how_many_there_are() -> None:
     assert all(not j.effects and j.outside for j in Plan(("static",), outside=True, recordings=4).jobs())
 
 
+@pytest.mark.slow(reason="filter runs of a whole drive")
 def test_what_an_effect_is_worth_beside_another_is_nothing_where_the_other_looks_the_same() -> None:
     s = stage(21, 3.0, 50.0, track="car", turn_on_bias=True)
     plain = s.record()
