@@ -287,7 +287,7 @@ def top() -> list[str]:
         "",
     ]
     api = importlib.import_module("insemu.api")
-    for name in (*sorted(n for n, r in insemu._TOP.items() if r == "api"), *insemu._CALLED):
+    for name in sorted(n for n, r in insemu._TOP.items() if r == "api"):
         lines += [f"## ins.{name}", "", *_autodoc(getattr(api, name))]
     return lines
 
