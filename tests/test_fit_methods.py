@@ -325,7 +325,8 @@ def test_outliers_do_not_move_a_robust_fit(size, share, normal):
     # outliers below two and a half standard deviations cannot be told from noise
     assert 0.75 * hit.mean() < outliers.share < 1.1 * hit.mean()
     assert outliers.rejected[hit].mean() > 0.75
-    assert any("are outliers" in w for w in robust.warnings)
+    assert any("rejected as outliers" in w for w in robust.warnings)
+    assert outliers.rejected.mean() > 2.0 * outliers.expected
 
 
 def test_a_clean_record_costs_the_efficiency_that_is_asked_for():

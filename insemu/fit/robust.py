@@ -38,6 +38,10 @@ NEAR = 4097
 #: Steps of conjugate gradients for the rejected samples at most, and the root mean square error, in standard deviations of the
 #: residual, at which they end.
 FILLING, CLOSE = 30, 0.01
+#: Variance of the unknown begin of a state, and white noise of a model that has none, in variances of the shortest octave.
+UNKNOWN, NO_WHITE = 1e4, 1e-3
+#: Rejection ends where fewer than this share of samples change.
+UNCHANGED = 2e-4
 #: The longest signal that is drawn for the correction.
 LONGEST = 1 << 17
 #: Amplitudes of outliers, in standard deviations of the residual. Below the first an outlier cannot be told from noise.
@@ -66,22 +70,26 @@ class Outliers:
         Samples that the curve leaves out.
     root_mean_square : float
         Of the estimated outliers, in the unit of the signal; 0 where there are none.
+    expected : float
+        Share of samples that would be rejected of a clean record.
     """
 
     share: float
     rejected: Mask
     root_mean_square: float
+    expected: float
 
     def note(self, rate_hz: float) -> str:
-        """What a reader of the fit is told."""
+        """The warning of a fit: what was rejected, where, and what a clean record would lose."""
         length = max(self.rejected.size // 20, 1)
         so_far = np.concatenate([[0], np.cumsum(self.rejected)])
         counts = so_far[length:] - so_far[:-length]
         start = int(np.argmax(counts))
         there = float(counts[start]) / length
         return (
-            f"{self.share:.2%} of the samples are outliers, of {self.root_mean_square:.3g} root mean square; {self.rejected.mean():.2%} were "
-            f"rejected, most of them ({there:.2%}) from {start / rate_hz:.4g} to {(start + length) / rate_hz:.4g} s"
+            f"{self.rejected.mean():.2%} of the samples were rejected as outliers, {self.expected:.2%} would be of a clean record; most of them "
+            f"({there:.2%}) lie from {start / rate_hz:.4g} to {(start + length) / rate_hz:.4g} s; the estimated share of outliers is "
+            f"{self.share:.2%}, their root mean square {self.root_mean_square:.3g}"
         )
 
 
@@ -141,9 +149,9 @@ class _Prediction:
     def __init__(self, model: NoiseModel, dt: float, first: float) -> None:
         block = model.block(dt)
         # a model without white noise predicts a sample by its neighbours exactly; a thousandth of its shortest scatter stands in
-        white = block.white if block.white > 0 else 1e-3 * first
+        white = block.white if block.white > 0 else NO_WHITE * first
         # where the state begins is not known, so that the row adds up to one
-        block = replace(block, white=white, P0=block.P0 + 1e4 * first * np.eye(block.n))
+        block = replace(block, white=white, P0=block.P0 + UNKNOWN * first * np.eye(block.n))
         impulse = np.zeros(NEAR)
         impulse[NEAR // 2] = 1.0
         row = smooth(block, impulse).mean @ block.c if block.n else np.full(NEAR, 1.0 / NEAR)
@@ -179,7 +187,7 @@ class _Prediction:
             whole = self.filled(y, out, whole)
             residual = (y - self._of_neighbours(whole)) / self.deviation
             before, out = out, np.abs(residual) > limit
-            if np.mean(out != before) < 2e-4:
+            if np.mean(out != before) < UNCHANGED:
                 break
         return residual, self.filled(y, out, whole), out
 
@@ -266,7 +274,8 @@ def cleaned_curve(series: Series, model: NoiseModel, efficiency: float = EFFICIE
     seen = shares[1:]
     mean_square = float(seen @ AMPLITUDES**2 / seen.sum()) if seen.sum() > 0 else 0.0
     size = math.sqrt(mean_square) * core * prediction.deviation
-    return CleanedCurve(curve, Outliers(float(seen.sum()), out, size))
+    expected = 2.0 * float(scipy.special.ndtr(-limit))
+    return CleanedCurve(curve, Outliers(float(seen.sum()), out, size, expected))
 
 
 def _change(
