@@ -345,7 +345,7 @@ def print_robust(series: int = 40, efficiency: float = 0.6, seed: int = 2016, sa
     truth = WN(0.01) + GM(0.005, 0.1)
     true, structure = values_of(truth), structure_of(truth)
     print(
-        f"{'outliers':28s}{'robust: N sigma beta over the truth':>38s}{'95 % intervals hold':>24s}{'plain':>22s}{'relative variance':>20s}"
+        f"{'outliers':28s}{'robust: N sigma beta over the truth':>38s}{'95 % intervals hold':>24s}{'plain':>24s}{'relative variance':>24s}"
     )
     for kind, size, share in OUTLIERS:
         found, plain, inside = [], [], []
@@ -357,9 +357,9 @@ def print_robust(series: int = 40, efficiency: float = 0.6, seed: int = 2016, sa
             plain.append([e.value for e in fit(x, structure, rate_hz=1.0).parameters])
         cells = [np.median(found, axis=0) / true, np.mean(inside, axis=0), np.median(plain, axis=0) / true]
         cells.append(np.var(plain, axis=0) / np.var(found, axis=0))
-        texts = [" ".join(f"{v:6.3f}" for v in c) for c in cells]
+        texts = [" ".join(f"{v:7.3f}" for v in c) for c in cells]
         print(
-            f"{kind + f' {size:g} sigma, {share:.0%}':28s}{texts[0]:>38s}{texts[1]:>24s}{texts[2]:>22s}{texts[3]:>20s}",
+            f"{kind + f' {size:g} sigma, {share:.0%}':28s}{texts[0]:>38s}{texts[1]:>24s}{texts[2]:>24s}{texts[3]:>24s}",
             flush=True,
         )
 
