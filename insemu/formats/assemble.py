@@ -452,11 +452,32 @@ def _velocity(part: Columns) -> Array | None:
     """Velocity north, east, down from any of its forms; the setting ``velocity`` says the frame against what the file states."""
     role = next((r for r in ("vel_ned", "vel_enu", "vel_neu") if r in part.values), None)
     if role is None:
-        return None
+        return _over_ground(part)
     v, frame = part.values[role], part.settings.get("velocity", role.removeprefix("vel_"))
     if frame == "enu":
         return np.asarray(v[:, [1, 0, 2]] * [1.0, 1.0, -1.0])
     return np.asarray(v * [1.0, 1.0, -1.0]) if frame == "neu" else v
+
+
+#: A receiver leaves the course out, or repeats the last one, where its motion is noise: below this speed a repeated course is none, m/s.
+HELD_COURSE = 1.0
+#: Without a course a receiver that is slower than this stands, m/s.
+STANDING = 0.2
+
+
+def _over_ground(part: Columns) -> Array | None:
+    """Velocity north and east from speed and course, NaN down; where nothing tells the course, zero at rest and NaN in motion.
+
+    Noise of the course is that of the velocity over the speed (NMEA receivers take both from one velocity), so that north and east are as
+    uncertain at any speed and not correlated.
+    """
+    if "speed" not in part.values or "course" not in part.values:
+        return None
+    speed, course = part.values["speed"], part.values["course"]
+    held = (np.diff(course, prepend=np.nan) == 0.0) & (speed < HELD_COURSE)
+    course = np.where(held, np.where(speed < STANDING, 0.0, np.nan), course)
+    course = np.where(np.isnan(course) & (speed < STANDING), 0.0, course)
+    return np.column_stack([speed * np.cos(course), speed * np.sin(course), np.full(speed.size, np.nan)])
 
 
 def _sigmas(part: Columns, story: Story) -> tuple[Array | None, Array | None]:
@@ -483,7 +504,7 @@ def gnss_of(part: Columns, story: Story) -> GnssRecord:
     assert llh is not None
     velocity = _velocity(part)
     if velocity is None and "speed" in part.values:
-        story.notes.append("speed and course over ground are no velocity in three axes: they are not kept")
+        story.notes.append("speed over ground without a course is no velocity: it is not kept")
     position_std, velocity_std = _sigmas(part, story)
     known = np.isfinite(llh).all(axis=1) & ~((llh[:, 0] == 0.0) & (llh[:, 1] == 0.0))
     if "gyro" in part.values or "accel" in part.values:

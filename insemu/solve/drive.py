@@ -209,7 +209,7 @@ def velocity_lag(gnss: GnssRecord) -> float | None:
     """
     if gnss.vel_ned is None:
         return None
-    good = np.isfinite(gnss.vel_ned).all(axis=1)
+    good = np.isfinite(gnss.vel_ned[:, :2]).all(axis=1)
     t, v = gnss.t[good], gnss.vel_ned[good, :2]
     if t.size < 30:
         return None
