@@ -20,6 +20,7 @@ from insemu.formats import write
 from insemu.gap import load_nominal
 from insemu.records import ImuRecord, InitialState, Recording
 from insemu.scenario import load
+from insemu.stamps import SECOND, Origin
 
 WORLD: dict[str, Any] = {
     "title": "drive",
@@ -240,3 +241,28 @@ def test_a_stretch_of_increments_is_the_stretch_of_its_means() -> None:
     both = [_stretches(Recording(imu, None, None), [(1.0, 3.0)], "a file")[0] for imu in (means, means.as_increments())]
     for axis, one in both[0].items():
         np.testing.assert_allclose(both[1][axis].values, one.values, rtol=1e-9)
+
+
+def test_an_outage_may_begin_at_a_date(tmp_path: Path, recording: Recording) -> None:
+    """The same seconds from the start, whatever the clock that tells the date; the message where none does."""
+    zero, day = 1_764_400_000, "2025-11-29T"
+    clocks = {"unix": zero, "gps": zero - 315_964_800 + 18}
+    spans = {"start": f"{day}07:06:50Z", "end": f"{day}08:10:00.5+01:00"}
+    outages = {"outages": [{"start": f"{day}07:08:40Z", "duration": "20 s"}, {"start": "150 s", "duration": "5 s"}]}
+    for clock, seconds in clocks.items():
+        write(tmp_path / "drive.npz", replace(recording, origin=Origin(seconds * SECOND, clock)))
+        found = load(_scenario(tmp_path, gnss=outages, recording={"file": "drive.npz", **spans}))
+        assert [o.start_s for o in found.gnss.outages] == [120.0, 150.0]
+        assert found.recording is not None
+        assert (found.recording.start, found.recording.end) == (10.0, 200.5)
+    write(tmp_path / "drive.npz", recording)
+    with pytest.raises(
+        InputError, match=r"recorded.yaml:\d+: gnss.outages.0.start: is a date, .*its clock tells no date"
+    ):
+        load(_scenario(tmp_path, gnss=outages))
+    (tmp_path / "world.yaml").write_text(yaml.safe_dump(WORLD | {"gnss": outages}))
+    with pytest.raises(InputError, match="an emulated flight has none"):
+        load(tmp_path / "world.yaml")
+    with pytest.raises(InputError, match="expected a date such as"):
+        write(tmp_path / "drive.npz", replace(recording, origin=Origin(zero * SECOND, "unix")))
+        load(_scenario(tmp_path, gnss={"outages": [{"start": "2025-13-40", "duration": "1 s"}]}))

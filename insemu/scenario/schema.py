@@ -140,7 +140,7 @@ class AreaKeys(Section):
 class OutageKeys(Section):
     """A span without GNSS."""
 
-    start_s: Seconds = Field(alias="start", ge=0, description="time from the start of the trajectory")
+    start_s: Seconds = Field(alias="start", ge=0, description="time from the start, or a date of a recording")
     duration_s: Seconds = Field(alias="duration", ge=0, description="how long; the fix at its end is withheld, too")
 
 
@@ -426,9 +426,9 @@ class RecordingSource(Section):
         default=(0.0, 0.0, 0.0), description="roll, pitch, yaw of the IMU with respect to the vehicle"
     )
     start: Seconds | None = Field(
-        default=None, description="leave out what is before this time on the recording's clock"
+        default=None, description="leave out what is before this time from the recording's origin, or before a date"
     )
-    end: Seconds | None = Field(default=None, description="leave out what is after this time")
+    end: Seconds | None = Field(default=None, description="leave out what is after this time or date")
     imu_time_offset: Seconds = Field(
         default=0.0, description="how late IMU stamps are against those of GNSS; taken off"
     )
