@@ -11,16 +11,20 @@ import pytest
 import yaml
 
 from insemu import earth, rotation
+from insemu.emulate import dead_reckon
 from insemu.errors import InputError
 from insemu.evaluate import Experiment, run_experiment, summary
 from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.recorded import RecordedWorld
 from insemu.evaluate.world import _stretches
-from insemu.formats import write
-from insemu.gap import load_nominal
-from insemu.records import ImuRecord, InitialState, Recording
+from insemu.formats import read_recording, write
+from insemu.gap import Nominal, check, load_nominal
+from insemu.noise import RC, WN
+from insemu.records import AXES, ImuRecord, InitialState, Recording
 from insemu.scenario import load
+from insemu.solve import prepared
 from insemu.stamps import SECOND, Origin
+from insemu.transfer import transfer
 
 WORLD: dict[str, Any] = {
     "title": "drive",
@@ -266,3 +270,28 @@ def test_an_outage_may_begin_at_a_date(tmp_path: Path, recording: Recording) -> 
     with pytest.raises(InputError, match="expected a date such as"):
         write(tmp_path / "drive.npz", replace(recording, origin=Origin(zero * SECOND, "unix")))
         load(_scenario(tmp_path, gnss={"outages": [{"start": "2025-13-40", "duration": "1 s"}]}))
+
+
+def test_all_assume_the_same_of_what_the_fixes_do_not_state(tmp_path: Path, recording: Recording) -> None:
+    """A fix before the IMU data begin counts as well, whoever asks."""
+    assert recording.gnss is not None
+    bare = replace(recording, gnss=replace(recording.gnss, pos_std_ned=None, vel_std_ned=None), reference=None)
+    bare = replace(bare, imu=bare.imu.rows(bare.imu.t > 20.0))
+    write(tmp_path / "drive.npz", bare)
+    bare = read_recording(tmp_path / "drive.npz")
+    path = _scenario(tmp_path, gnss={}, recording={"file": "drive.npz"})
+    noise = {a: WN(N=1e-4) + RC(sigma=0.01) if a.startswith("gyro") else WN(N=1e-3) + RC(sigma=0.1) for a in AXES}
+    drive = prepared(bare).started()
+    said = [text for text in drive.said if "state no standard deviations" in text]
+    assert len(said) == 2
+    warned = RecordedWorld(load(path), path).warnings
+    assert all(any(text in warning for warning in warned) for text in said)
+    nominal = Nominal(noise)
+    assert list(check(bare, nominal, recordings=20).assumed) == said
+    found = transfer(bare, nominal, rng=np.random.default_rng(1), why=False)
+    assert list(found.assumed) == said
+    data, start, done = drive.alone()
+    assert list(done[:2]) == said
+    reckoned = dead_reckon(data, start=start)
+    assert reckoned.against == "fixes" and np.isnan(reckoned.max_attitude_error_rad)
+    assert reckoned.errors[0, 0] < 1.0 and "max_attitude_error_rad" not in reckoned.to_dict()

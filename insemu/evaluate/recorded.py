@@ -85,7 +85,7 @@ class RecordedWorld:
         inside &= np.isfinite(gnss.llh).all(axis=1)
         if inside.sum() < 2:
             raise InputError("has no GNSS fixes within its IMU data", where=self.source.file)
-        self.gnss = self._with_sigmas(gnss.rows(inside))
+        self.gnss = self._with_sigmas(gnss).rows(inside)
         self.reference = recording.reference
 
     def _in_vehicle(self, imu: ImuRecord) -> ImuRecord:

@@ -41,6 +41,8 @@ STEP_S = 0.05
 FIRST_S, FEWEST, LONGEST_S = 5.0, 4, 20.0
 #: A fix this many standard deviations from the others of these seconds is left out, as the last of so many turns of weighted least squares says.
 FAR, TURNS = 5.0, 20
+#: Share of good fixes that are rejected on the way, so that outliers pull nothing.
+GATE = 1e-4
 #: A step of the IMU longer than this is not crossed, s.
 BRIDGED_S = 1.0
 
@@ -154,7 +156,7 @@ def _after(
         for sensor, white, walk, sigma in zip(("gyro", "accel"), noise, walks, unknown[[0, 3]], strict=True)
     }
     every = max(1, round(STEP_S / r.dt))
-    options = FilterOptions(store="fixes", covariance_every=every, output_every=100 * every)
+    options = FilterOptions(store="fixes", covariance_every=every, output_every=100 * every, gate=GATE)
     ekf = LooselyCoupledEKF(belief, r.dt, lever_arm=lever_arm, gravity=gravity, options=options)
     nine = later.sigma.to_array() * np.repeat([1.0, 1.0, CAUTION], 3)
     P = np.diag(np.concatenate([nine, sd]) ** 2)
