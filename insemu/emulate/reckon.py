@@ -86,10 +86,10 @@ def dead_reckon(recording: Recording, *, gravity: str = "normal", start: NavStat
     increments = imu.as_increments()
     if first:
         increments = _from(increments, first)
-    start = np.clip(increments.t[:1], reference.t[0], reference.t[-1])
-    llh, vel, q, _ = state_at(reference, start)
+    first_t = np.clip(increments.t[:1], reference.t[0], reference.t[-1])
+    llh, vel, q, _ = state_at(reference, first_t)
     initial = np.concatenate([llh[0], vel[0], q[0]])
-    if start[0] == reference.t[0]:  # exactly the same start as the one that made the reference
+    if first_t[0] == reference.t[0]:  # exactly the same start as the one that made the reference
         initial[6:] = rotation.quaternion_from_rpy(reference.rpy[0])
     return _flown(increments, initial, reference, gravity, recording)
 

@@ -238,7 +238,20 @@ MOST_LEFT_OUT = 0.01
 
 
 def timed(t: Array, values: Array, story: Story, what: str, *, imu: bool = False) -> tuple[NDArray[np.intp], Array]:
-    """Rows in the order of time, and their times: of an IMU those of its samples, of fixes the stamps, but where many rows share one."""
+    """Rows in the order of time, and their times: of an IMU those of its samples, of fixes the stamps, but where many rows share one.
+
+    Parameters
+    ----------
+    t : (n,) array
+        Stamps, s.
+    values : (n, k) array
+        By which repeated rows are known.
+    story : Story
+        Gets what was done.
+    what : str
+        What its notes call the table.
+    imu : bool
+    """
     same = np.concatenate([[False], (np.diff(values, axis=0) == 0.0).all(axis=1)])
     if not imu:
         rows, said = in_order(t, same)
