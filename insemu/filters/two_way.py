@@ -149,7 +149,7 @@ def _after(
     unknown = np.repeat([BIAS_SIGMA, ACCEL_BIAS], 3)
     told = np.isfinite(later.bias)
     bias = np.where(told, later.bias, 0.0)
-    sd = np.where(told, np.minimum(CAUTION * later.bias_sigma, unknown), unknown)
+    sd = np.where(told, np.minimum(np.repeat([1.0, CAUTION], 3) * later.bias_sigma, unknown), unknown)
     walks = [size / np.sqrt(AFTER_S) for size in WALK]
     belief = {
         sensor: WN(N=white) + RW(K=float(walk), sigma0=float(sigma))
@@ -158,7 +158,8 @@ def _after(
     every = max(1, round(STEP_S / r.dt))
     options = FilterOptions(store="fixes", covariance_every=every, output_every=100 * every, gate=GATE)
     ekf = LooselyCoupledEKF(belief, r.dt, lever_arm=lever_arm, gravity=gravity, options=options)
-    nine = later.sigma.to_array() * np.repeat([1.0, 1.0, CAUTION], 3)
+    # errors of tilt and of the accelerometers go together, of which an alignment tells the standard deviations only
+    nine = later.sigma.to_array() * np.array([*np.ones(6), CAUTION, CAUTION, 1.0])
     P = np.diag(np.concatenate([nine, sd]) ** 2)
     run = ekf.run(span, fixes.rows(fixes.t > later.t), later.state, P, initial_states=bias)
     s, used = smooth(run), run.fixes.accepted
