@@ -537,6 +537,7 @@ def solve(
     models: str = "",
     designs: Sequence[str] = (),
     lever_arm: Sequence[float] | None = None,
+    trajectory_rate: float | None = None,
     workers: int = 1,
 ) -> Solution:
     """The way, calibration and metres without GNSS of a real recording, without a scenario.
@@ -555,6 +556,8 @@ def solve(
         Designs of ``insemu designs`` that are tried beside the generic ones.
     lever_arm : (3,) sequence of float, optional
         IMU to antenna in the axes of the recording, m; estimated where it is not given.
+    trajectory_rate : float, optional
+        Of the trajectory, Hz; one epoch a second where it is not given.
     workers : int
         Threads.
 
@@ -580,7 +583,8 @@ def solve(
             card = intake.examine(found)
             data = found.recording()
     card.check()
-    return one(data, card, beliefs, lever_arm=(0.0, 0.0, 0.0) if lever_arm is None else lever_arm, workers=workers)
+    arm = (0.0, 0.0, 0.0) if lever_arm is None else lever_arm
+    return one(data, card, beliefs, lever_arm=arm, rate=trajectory_rate, workers=workers)
 
 
 def plot(result: Any, axes: Any = None, *, view: int | str = 0) -> Any:
