@@ -34,7 +34,6 @@ import numpy as np
 from benchmarks.trial.__main__ import app as trial
 from insemu import cli, scenario
 from insemu.evaluate.folder import MARKER, TIMING
-from insemu.evaluate.provenance import CRATE
 from insemu.formats import write
 from insemu.records import Series
 from insemu.work import Lines, run_items
