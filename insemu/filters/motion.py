@@ -57,6 +57,8 @@ LEAST_TILT, LEAST_HEADING, LEAST_VELOCITY = np.deg2rad(0.3), np.deg2rad(1.0), 0.
 HEADINGS, WORSE = 8, 15.1
 #: Least squares turn by no more than this at once, rad, and end where a turn promises less of chi-square than the second.
 LONGEST_TURN, GAIN = 0.7, 1e-6
+#: Rounds of least squares at most between two renewals of what is linear in the biases, and how many times it is renewed for a stretch.
+ROUNDS, RENEWED = 8, 3
 #: Attitudes that are further apart than this are two solutions, rad.
 APART = 0.3
 #: Fixes kept of a stretch at most, and the step that the IMU is summed to, s.
@@ -144,9 +146,7 @@ class _Stretch:
             rows.append(np.concatenate([linear, np.nan_to_num(left).T[:, :, None]], axis=2) * weight.T[:, :, None])
         return np.asarray(np.linalg.qr(np.concatenate(rows, axis=1), mode="r"))
 
-    def solve(
-        self, C: Array, x: Array, prior: tuple[Array, Array], integrals: list[Integrals], rounds: int = 15
-    ) -> list[_Fit]:
+    def solve(self, C: Array, x: Array, prior: tuple[Array, Array], integrals: list[Integrals]) -> list[_Fit]:
         """Gauss-Newton from several attitudes ``C`` (h, 3, 3) and the rest of each estimate ``x`` (h, 18), side by side.
 
         ``prior`` is the mean (6,) and covariance (6, 6) of the biases; the ``integrals``, of each or one for all, are linear in the biases about
@@ -169,7 +169,7 @@ class _Stretch:
             [(C[0], x[0], information)] * len(C),
             np.ones((len(C), 1), dtype=bool),
         )
-        for _ in range(rounds):
+        for _ in range(ROUNDS):
             left, H = _residuals(rows, C, x, bias)
             away = np.where(np.arange(SIZE) < 9, 0.0, x - mean)
             total = information + H.swapaxes(1, 2) @ H
@@ -191,24 +191,31 @@ class _Stretch:
         of = integrals if len(integrals) > 1 else integrals * len(C)
         return [_Fit(*b, float(c), dof, i, float(self.t[-1])) for b, c, i in zip(best, least, of, strict=True)]
 
-    def best(self, prior: tuple[Array, Array]) -> tuple[_Fit, float]:
-        """The best of several headings, and by how much a fit with another heading is worse."""
-        i = self.integrals(np.zeros((3, 3)), prior[0])
-        # over the stretch the specific force points up but for the change of velocity
-        roll, pitch = level(i.velocity[-1])
-        headings = np.arange(HEADINGS) * 2.0 * np.pi / HEADINGS - np.pi
-        x = np.tile(np.concatenate([np.zeros(9), prior[0], np.zeros(3)]), (HEADINGS, 1))
-        C = rotation.dcm_from_rpy(np.stack(np.broadcast_arrays(roll, pitch, headings), axis=1))
-        fits: list[_Fit] = []
-        for fit in sorted(self.solve(C, x, prior, [i]), key=lambda f: f.chi2):
-            if len(fits) < 3 and all(_apart(fit, f) for f in fits):
-                fits.append(fit)
-        for _ in range(3):
-            again = [self.integrals(f.C, f.x[9:15]) for f in fits]
-            fits = self.solve(np.stack([f.C for f in fits]), np.stack([f.x for f in fits]), prior, again)
-        fits.sort(key=lambda f: f.chi2)
-        others = [f.chi2 for f in fits[1:] if _apart(f, fits[0])]
-        return fits[0], (min(others, default=np.inf) - fits[0].chi2) / fits[0].scale()
+    def best(self, prior: tuple[Array, Array], near: list[_Fit]) -> tuple[list[_Fit], float]:
+        """Fits apart from each other, the best first, and by how much the second is worse.
+
+        They begin at those of a shorter stretch, ``near``, and where there are none at several headings. What is linear in the biases is renewed
+        after each turn, so that a long stretch does not lose what a short one has found.
+        """
+        if near:
+            C, x = np.stack([f.C for f in near]), np.stack([f.x for f in near])
+            again = [self.integrals(f.C, f.x[9:15]) for f in near]
+        else:
+            again = [self.integrals(np.zeros((3, 3)), prior[0])]
+            # over the stretch the specific force points up but for the change of velocity
+            roll, pitch = level(again[0].velocity[-1])
+            headings = np.arange(HEADINGS) * 2.0 * np.pi / HEADINGS - np.pi
+            x = np.tile(np.concatenate([np.zeros(9), prior[0], np.zeros(3)]), (HEADINGS, 1))
+            C = rotation.dcm_from_rpy(np.stack(np.broadcast_arrays(roll, pitch, headings), axis=1))
+        for turn in range(RENEWED):
+            if turn:
+                again = [self.integrals(f.C, f.x[9:15]) for f in fits]
+                C, x = np.stack([f.C for f in fits]), np.stack([f.x for f in fits])
+            fits = []
+            for fit in sorted(self.solve(C, x, prior, again), key=lambda f: f.chi2):
+                if all(_apart(fit, f) for f in fits):
+                    fits.append(fit)
+        return fits, (fits[1].chi2 - fits[0].chi2) / fits[0].scale() if len(fits) > 1 else np.inf
 
 
 def _apart(one: _Fit, other: _Fit) -> bool:
@@ -343,12 +350,14 @@ def align_in_motion(
     coarse = _thinned(r)
     said = "fewer than five fixes after the first motion"
     for start in _moves_from(fixes):
+        near: list[_Fit] = []
         for span in STRETCHES:
             stop = int(np.searchsorted(fixes.t, fixes.t[start] + min(span, longest) + 1e-6)) - 1
             if stop - start < 4:
                 continue
             stretch = _stretch(coarse, fixes, start, stop, arm, gravity, noise)
-            fit, margin = stretch.best(prior)
+            near, margin = stretch.best(prior, near)
+            fit = near[0]
             said = f"its standard deviation after {stretch.t[-1]:.0f} s is {np.rad2deg(min(fit.heading_sigma, np.pi)):.1f} deg"
             if fit.heading_sigma <= COARSE and margin > WORSE and fit.plausible:
                 found = _refined(fit, stretch, r, fixes, arm, gravity, noise, longest)
