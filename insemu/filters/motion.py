@@ -36,7 +36,7 @@ STRETCHES = (5.0, 10.0, 20.0, 40.0, 80.0)
 #: Where the first motion does not tell the heading, later ones so many seconds apart may.
 AGAIN_S = 40.0
 #: A stretch is long enough when the heading's standard deviation is below this, rad; the filter goes on to the second, or ends at the third.
-COARSE, FINE, WORST = np.deg2rad([8.0, 2.0, 5.0])
+COARSE, FINE, WORST = np.deg2rad([10.0, 2.0, 5.0])
 #: Normalised residuals or innovations squared per degree of freedom from which least squares or the filter is on a wrong solution.
 LOST = 9.0
 #: Standard deviation of a bias of the accelerometers, m/s^2 (consumer MEMS, 30 mg).
@@ -197,18 +197,16 @@ class _Stretch:
         They begin at those of a shorter stretch, ``near``, and where there are none at several headings. What is linear in the biases is renewed
         after each turn, so that a long stretch does not lose what a short one has found.
         """
-        if near:
-            C, x = np.stack([f.C for f in near]), np.stack([f.x for f in near])
-            again = [self.integrals(f.C, f.x[9:15]) for f in near]
-        else:
+        fits = near
+        if not fits:
             again = [self.integrals(np.zeros((3, 3)), prior[0])]
             # over the stretch the specific force points up but for the change of velocity
             roll, pitch = level(again[0].velocity[-1])
             headings = np.arange(HEADINGS) * 2.0 * np.pi / HEADINGS - np.pi
             x = np.tile(np.concatenate([np.zeros(9), prior[0], np.zeros(3)]), (HEADINGS, 1))
             C = rotation.dcm_from_rpy(np.stack(np.broadcast_arrays(roll, pitch, headings), axis=1))
-        for turn in range(RENEWED):
-            if turn:
+        for _ in range(RENEWED):
+            if fits:
                 again = [self.integrals(f.C, f.x[9:15]) for f in fits]
                 C, x = np.stack([f.C for f in fits]), np.stack([f.x for f in fits])
             fits = []
@@ -224,8 +222,8 @@ def _apart(one: _Fit, other: _Fit) -> bool:
 
 
 def _residuals(rows: Array, C: Array, x: Array, bias: Array) -> tuple[Array, Array]:
-    """Residuals (h, 3 k) of the rows of :meth:`_Stretch._compressed` (h or 1, 3, k, :data:`LINEAR` + 1) at estimates, and their derivatives (h, 3 k, 18)
-    by what the estimates are off; ``bias`` (h or 1, 6) is that of the integrals.
+    """Residuals (h, 3 k) at estimates of the rows (h or 1, 3, k, :data:`LINEAR` + 1) that :meth:`_Stretch._compressed` gives, and their derivatives
+    (h, 3 k, 18) by what the estimates are off; ``bias`` (h or 1, 6) is that of the integrals.
     """
     h = len(C)
     by = np.concatenate([np.ones((h, 1)), x[:, 9:15] - bias], axis=1)
