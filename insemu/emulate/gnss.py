@@ -192,9 +192,9 @@ def antenna(trajectory: Trajectory, t: ArrayLike, lever_arm: ArrayLike) -> tuple
     return earth.move(llh, beside), vel + np.einsum("nij,nj->ni", c, np.cross(w_eb, arm))
 
 
-def _three(value: ArrayLike, name: str) -> Array:
+def _three(value: ArrayLike, name: str, *, without_down: bool = False) -> Array:
     array = np.broadcast_to(np.asarray(value, dtype=float), (3,)).copy()
-    if not np.isfinite(array).all():
+    if not np.isfinite(array[: 2 if without_down and np.isnan(array[2]) else 3]).all():
         raise InputError(f"{name} is {array.tolist()}, expected one or three finite numbers")
     return array
 
@@ -220,7 +220,7 @@ def gnss_fixes(
         Fixes per second; the first comes one period after the start of the trajectory.
     pos_sigma_ned, vel_sigma_ned : float or (3,)
         Standard deviations of white noise, m and m/s, which the receiver also states; ``vel_sigma_ned=None`` for no
-        velocity.
+        velocity, NaN down for speed and course.
     lever_arm : (3,)
         From the IMU to the antenna in body axes, m.
     outages : sequence of Outage or AreaOutage
@@ -238,7 +238,7 @@ def gnss_fixes(
         fix.
     """
     sigma = _three(pos_sigma_ned, "the position sigma")
-    sigma_v = None if vel_sigma_ned is None else _three(vel_sigma_ned, "the velocity sigma")
+    sigma_v = None if vel_sigma_ned is None else _three(vel_sigma_ned, "the velocity sigma", without_down=True)
     for name, values in (("position", sigma), ("velocity", sigma_v)):
         if values is not None and (values < 0).any():
             raise InputError(f"the {name} sigma is {values.tolist()}, expected zero or more")
