@@ -62,6 +62,8 @@ class Column:
         Unit errors of position and velocity where the filter starts, estimated minus true, m and m/s NED.
     power : float
         The coefficient is the parameter to this power, and so is the scale; the unit is that of the parameter.
+    odds : float
+        How common it is among the columns of its effect.
     """
 
     effect: str
@@ -75,6 +77,7 @@ class Column:
     runs: bool = False
     start: Array | None = None
     power: float = 1.0
+    odds: float = 1.0
 
     @classmethod
     def of(
@@ -293,6 +296,8 @@ class AntennaMotion:
         Of the IMU, m/s^2, NED.
     lever_arm : (3,) array
         From the IMU to the antenna, m, body axes.
+    vel : (n, 3) array
+        Of the IMU at each time, m/s, NED.
     """
 
     t: Array
@@ -300,11 +305,16 @@ class AntennaMotion:
     rate: Array
     acceleration: Array
     lever_arm: Array
+    vel: Array
 
     @cached_property
     def swing(self) -> Array:
         """Velocity (n, 3) of the antenna about the IMU, NED, m/s."""
         return swing_along(self.C, self.rate, self.lever_arm)
+
+    def velocity_at(self, at: Array) -> Array:
+        """Velocity (k, 3) of the IMU at times (k,) in s."""
+        return np.column_stack([np.interp(at, self.t, v) for v in self.vel.T])
 
     def row(self, at: Array) -> NDArray[np.int64]:
         """Rows of times ``at`` (k,) in s, the nearest."""

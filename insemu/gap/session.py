@@ -16,6 +16,7 @@ from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.beliefs.refined import refined_nominal, uses_of
 from insemu.gap.candidates.mounting import Mounted, find_mounting
+from insemu.gap.candidates.shapes import EQUATIONS
 from insemu.gap.candidates.timing import find_times
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.drive.preparation import Flown
@@ -459,6 +460,8 @@ def _share(one: Finding, other: Finding) -> bool:
 def _alike(one: Finding, other: Finding) -> bool:
     """Whether two findings are of one thing: the same effect of the same sensor, on the same axes and at the same time where it has one."""
     if (one.effect, one.sensor) != (other.effect, other.sensor):
+        return False
+    if one.effect in EQUATIONS and one.axes != other.axes:
         return False
     here, there = ({v.name: v for v in s.parameters if v.name in ("start", "duration")} for s in (one, other))
     # an interval may be wide where the best is not: what does not act at the same times is another one

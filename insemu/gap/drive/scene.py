@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from insemu.effects import EFFECTS, Column, FixGeometry, Motion, catalogue_columns
 from insemu.errors import InputError
 from insemu.gap.drive.apart import without
-from insemu.gap.drive.columns import filled_columns, library_columns, rectified_columns
+from insemu.gap.drive.columns import filled_columns, rectified_columns
 from insemu.gap.drive.corrected import corrected_data, slow_knots
 from insemu.gap.drive.preparation import Prepared, fitted_levels
 from insemu.gap.drive.signatures import Loop, bias_steps, columns_response, fix_step_response, knot_response, ramps
@@ -57,11 +57,9 @@ class Scene:
     motion, loop, surrogate
         What the filter says about motion, innovations and covariances.
     columns : list of Column
-        Catalogue first, then the library of structure outside of it.
+        Catalogue first; behind it stand the filled-in stretches and what the vehicle's shaking rectifies.
     catalogue : int
         Number of columns of the catalogue.
-    outside : slice
-        Columns of the library; behind them stand the filled-in stretches and what the vehicle's shaking rectifies.
     knots, starts : arrays
         Times in s.
     corrections : mapping of column index to number
@@ -79,7 +77,6 @@ class Scene:
     surrogate: Surrogate
     columns: list[Column]
     catalogue: int
-    outside: slice
     knots: Array
     starts: Array
     corrections: Mapping[int, float]
@@ -120,10 +117,8 @@ class Scene:
                 own = (columns[j].effect, columns[j].label)
                 slope = slope_about(columns[j], value, motion, fixes)
                 columns[:catalogue] = [slope if (c.effect, c.label) == own else c for c in columns[:catalogue]]
-        columns += library_columns(motion, t_fix, prepared.nominal.mounting)
         if prepared.first.any():
             columns = [c if c.fixes is None else replace(c, start=c.fixes[0]) for c in columns]
-        outside = slice(catalogue, len(columns))
         columns += filled_columns(motion, prepared.mended.filled if prepared.mended else ())
         columns += rectified_columns(prepared.rectified)
         start, end = float(motion.t[0]), float(motion.t[-1])
@@ -138,7 +133,6 @@ class Scene:
             prepared.surrogate,
             columns,
             catalogue,
-            outside,
             knots,
             starts,
             dict(corrections or {}),
@@ -160,7 +154,7 @@ class Scene:
     @cached_property
     def always(self) -> tuple[Block, ...]:
         """What is uncertain whatever the effects are: the integrals of filled-in stretches, coning and sculling of what shakes."""
-        index = np.arange(self.outside.stop, len(self.columns))
+        index = np.arange(self.catalogue, len(self.columns))
         return ((index, np.diag([self.columns[i].scale for i in index])),) if index.size else ()
 
     # -- responses --------------------------------------------------------------------------------------------------------------------

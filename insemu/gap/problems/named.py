@@ -46,15 +46,12 @@ class Named:
     found : tuple of Found
     scene : Scene
         At the levels, colours and corrections that were found.
-    outsider : str
-        Structure outside the catalogue, in words, where there is any.
     gone : mapping of effect to (k,) array
         Times of the positions and of the velocities that were left out as outliers, s.
     """
 
     found: tuple[Found[Change], ...]
     scene: Scene
-    outsider: str
     gone: Mapping[str, Array]
 
     @property

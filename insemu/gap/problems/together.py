@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.gap.beliefs.nominal import Nominal
+from insemu.gap.candidates.shapes import EQUATIONS
 from insemu.gap.data.samples import mend, with_counts
 from insemu.gap.drive.preparation import Prepared, fast_parts, prepare
 from insemu.gap.drive.scene import ARMS, Scene, Window
@@ -134,9 +135,13 @@ def _columns(scene: Scene, findings: Sequence[Finding], steps: Sequence[int]) ->
     owners: dict[int, tuple[int, str, float]] = {}
     for k, s in enumerate(findings):
         for v in s.parameters:
-            own = (s.effect, s.sensor, v.name)
+            own = (s.effect, s.sensor, v.name, s.axes if s.effect in EQUATIONS else ())
             j = next(
-                (j for j, c in enumerate(scene.columns[: scene.catalogue]) if (c.effect, c.sensor, c.label) == own),
+                (
+                    j
+                    for j, c in enumerate(scene.columns[: scene.catalogue])
+                    if (c.effect, c.sensor, c.label, c.axes if c.effect in EQUATIONS else ()) == own
+                ),
                 None,
             )
             if j is None or j in owners:

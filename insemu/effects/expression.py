@@ -1,0 +1,156 @@
+"""An error without a name of its own: a number times a term of signals, such as ``east = -0.056 s * speed``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations_with_replacement
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu import earth, rotation
+from insemu.effects.base import NED, XYZ, Effect, EffectUse, Stage, Subset
+from insemu.effects.chain import Chain, FixErrors
+from insemu.effects.motion import AntennaMotion, Column, FixGeometry, Motion, first_axis
+from insemu.effects.parameters import EffectParameter
+from insemu.effects.terms import Equation, Signals, equation
+from insemu.records import GnssRecord, Trajectory
+
+Array = NDArray[np.float64]
+#: Signals that need no motion of the vehicle.
+_ALONE = frozenset({"time", "temperature"})
+#: Usual size of an unnamed error that varies: rad/s, m/s^2, m.
+SIZES = {"gyro": 1e-4, "accel": 1e-2, "gnss": 0.05}
+#: Log prior odds, 2 nats, against each further signal in a term: a longer term says the same of more recordings by chance.
+LONGER = 2.0
+_RATES, _FORCES = (tuple(f"{kind}_{a}" for a in XYZ) for kind in ("rate", "force"))
+
+
+def dictionary(sensor: str) -> list[tuple[str, int]]:
+    """Terms that a search tries for a sensor, with the number of signals in each; those that the catalogue has by name are left out.
+
+    Parameters
+    ----------
+    sensor : str
+        ``gyro``, ``accel`` or ``gnss``.
+    """
+    if sensor == "gnss":
+        return [
+            ("speed", 1), ("cos(heading)", 1), ("sin(heading)", 1), ("time", 1), ("rate_z", 1), ("speed ** 2", 2),
+            ("speed * cos(heading)", 2), ("speed * sin(heading)", 2), ("speed * rate_z", 2),
+        ]  # fmt: skip
+    pairs = [*combinations_with_replacement(_RATES, 2), *combinations_with_replacement(_FORCES, 2)]
+    pairs += [(r, f) for r in _RATES for f in _FORCES]
+    products = [(f"{a} ** 2" if a == b else f"{a} * {b}", 2) for a, b in pairs]
+    alone = ("speed", "speed ** 2", *(_RATES if sensor == "accel" else ()))
+    return [*((a, 1 + ("**" in a)) for a in alone), *products]
+
+
+class Expression(Effect):
+    """What has no name, as an equation."""
+
+    id, name, family = "expression", "error that follows an equation", "model"
+    sensors = ("gyro", "accel", "gnss")
+    formula = "equation: target = term; e_target = value x term"
+    parameters = (EffectParameter("value", "", 1, (1.0,), None, "in SI units of the target over the term", join="sum"),)
+    excitation, in_filter = "what stands in the term has to vary", "the term of the estimated signals is taken off"
+    axes, traits = (), frozenset({"equation"})
+    stage, size = Stage.LAW, "value"
+    absent = {"trial": "benchmarks.foreign hides equations that the search does not read"}
+
+    def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
+        """Add it to its axis."""
+        r, e = chain.reference, equation(use.equation, use.sensor)
+        if not e.names <= {*_ALONE, *_RATES, *_FORCES}:
+            r = chain.need_reference(use)
+        moving = (None, None) if r is None else (r.vel_ned, r.rpy)
+        signals = Signals(chain.t, *moving, chain.signal[:3].T, chain.signal[3:].T, chain.temperature)
+        chain.rows(use.sensor)[XYZ.index(e.target)] += use.scalar("value") * e.of(signals)
+
+    def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
+        """Add it to the positions."""
+        e = equation(use.equation, "gnss")
+        fixes.added[:, NED.index(e.target)] += use.scalar("value") * e.of(fixes.signals())
+
+    def added(self, use: EffectUse, t: Array, temperature: Array | None) -> Array:
+        """What needs no motion."""
+        e = equation(use.equation, use.sensor)
+        return _on(
+            e,
+            use.scalar("value") * e.of(Signals(t, temperature=temperature)) if e.names <= _ALONE else np.zeros(t.size),
+        )
+
+    def omitted(
+        self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64], signals: Signals
+    ) -> tuple[Array | None, Array | None]:
+        """Minus what goes with the motion."""
+        e = equation(use.equation, use.sensor)
+        if use.sensor == "gnss" or e.names <= _ALONE:
+            return None, None
+        here = replace(signals, velocity=trajectory.vel_ned[rows], rpy=trajectory.rpy[rows])
+        less = _on(e, -use.scalar("value") * e.of(here))
+        return (less, None) if use.sensor == "gyro" else (None, less)
+
+    def corrected_along(self, use: EffectUse, gnss: GnssRecord, way: AntennaMotion) -> GnssRecord:
+        """Take it off the positions."""
+        if use.sensor != "gnss":
+            return gnss
+        e, k = equation(use.equation, "gnss"), way.row(gnss.t)
+        rate = None if way.rate is None else way.rate[k]
+        here = Signals(gnss.t, way.velocity_at(gnss.t), rotation.rpy_from_dcm(way.C[k]), rate)
+        error = np.zeros((len(gnss), 3))
+        error[:, NED.index(e.target)] = -use.scalar("value") * e.of(here)
+        there = np.isfinite(gnss.llh).all(axis=1)
+        llh = gnss.llh.copy()
+        llh[there] = earth.move(llh[there], error[there])
+        return replace(gnss, llh=llh)
+
+    def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
+        """Every term of the dictionary on every axis and in every direction."""
+        rpy = rotation.rpy_from_dcm(motion.C @ fixes.body_axes.T)
+        along = Signals(motion.t, motion.vel, rpy, motion.rate, motion.force, motion.temperature)
+        at = Signals(
+            fixes.t, fixes.velocity, rotation.rpy_from_dcm(fixes.C @ fixes.body_axes.T), fixes.rate @ fixes.body_axes.T
+        )
+        out = []
+        for sensor in self.sensors:
+            for term, signals in dictionary(sensor):
+                e = [equation(f"{target} = {term}", sensor) for target in (NED if sensor == "gnss" else XYZ)]
+                u = e[0].of(at if sensor == "gnss" else along)
+                scale = SIZES[sensor] / max(float(np.std(u)), 1e-3 * float(np.abs(u).max()), 1e-12)
+                for k, one in enumerate(e):
+                    made = Column(
+                        self.id,
+                        sensor,
+                        "value",
+                        (one.text,),
+                        scale,
+                        one.unit,
+                        odds=float(np.exp(-LONGER * (signals - 1))),
+                    )
+                    if sensor == "gnss":
+                        M = np.zeros((u.size, 6))
+                        M[:, k] = u
+                        out.append(replace(made, fixes=M))
+                    else:
+                        out.append(replace(made, inputs=((first_axis(sensor) + k, u),)))
+        return out
+
+    def subsets(self, columns: Sequence[Column]) -> list[Subset]:
+        """Each alone."""
+        return super().subsets(columns)[: len(columns)]
+
+    def merged(self, old: EffectUse, new: EffectUse) -> EffectUse | None:
+        """The sum of two of one equation."""
+        return super().merged(old, new) if old.equation == new.equation else None
+
+
+def _on(e: Equation, error: Array) -> Array:
+    """An error (n,) on its axis, (n, 3)."""
+    out = np.zeros((error.size, 3))
+    out[:, XYZ.index(e.target)] = error
+    return out
+
+
+EFFECTS: tuple[Effect, ...] = (Expression(),)
