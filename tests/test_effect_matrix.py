@@ -105,7 +105,8 @@ def typical(effect: Effect, sensor: str) -> EffectUse:
         values["good"] = (5.0,)
     if effect.id == "dropped_samples":
         values["probability"] = (0.01,)
-    return EffectUse(effect.id, sensor, values)
+    equation = {"gyro": "x = rate_y * speed", "accel": "y = force_x ** 2", "gnss": "east = speed"}
+    return EffectUse(effect.id, sensor, values, equation[sensor] if "equation" in effect.traits else "")
 
 
 @pytest.mark.parametrize("name", EFFECTS)

@@ -381,6 +381,10 @@ class Effect:
             out.append((tuple(dict.fromkeys(a for c in columns for a in c.axes)), "all", list(range(len(columns)))))
         return out
 
+    def odds(self, column: Column) -> float:
+        """How common one of its columns is among them: 1, or less."""
+        return 1.0
+
     # -- refine: how two finds become one -----------------------------------------------------------------------------------------------
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations_with_replacement
@@ -14,7 +15,7 @@ from insemu.effects.base import NED, XYZ, Effect, EffectUse, Stage, Subset
 from insemu.effects.chain import Chain, FixErrors
 from insemu.effects.motion import AntennaMotion, Column, FixGeometry, Motion, first_axis
 from insemu.effects.parameters import EffectParameter
-from insemu.effects.terms import Equation, Signals, equation
+from insemu.effects.terms import TARGETS, Equation, Signals, equation
 from insemu.records import GnssRecord, Trajectory
 
 Array = NDArray[np.float64]
@@ -22,13 +23,13 @@ Array = NDArray[np.float64]
 _ALONE = frozenset({"time", "temperature"})
 #: Usual size of an unnamed error that varies: rad/s, m/s^2, m.
 SIZES = {"gyro": 1e-4, "accel": 1e-2, "gnss": 0.05}
-#: Log prior odds, 2 nats, against each further signal in a term: a longer term says the same of more recordings by chance.
+#: Log prior odds, nats, against each further signal or power in a term: the longer it may be, the more terms follow any recording by chance.
 LONGER = 2.0
 _RATES, _FORCES = (tuple(f"{kind}_{a}" for a in XYZ) for kind in ("rate", "force"))
 
 
-def dictionary(sensor: str) -> list[tuple[str, int]]:
-    """Terms that a search tries for a sensor, with the number of signals in each; those that the catalogue has by name are left out.
+def dictionary(sensor: str) -> list[str]:
+    """Terms that a search tries for a sensor, less those that the catalogue has by name.
 
     Parameters
     ----------
@@ -36,15 +37,12 @@ def dictionary(sensor: str) -> list[tuple[str, int]]:
         ``gyro``, ``accel`` or ``gnss``.
     """
     if sensor == "gnss":
-        return [
-            ("speed", 1), ("cos(heading)", 1), ("sin(heading)", 1), ("time", 1), ("rate_z", 1), ("speed ** 2", 2),
-            ("speed * cos(heading)", 2), ("speed * sin(heading)", 2), ("speed * rate_z", 2),
-        ]  # fmt: skip
+        around = ("cos(heading)", "sin(heading)")
+        return [*around, "speed", "speed ** 2", "time", "rate_z", *(f"speed * {x}" for x in (*around, "rate_z"))]
     pairs = [*combinations_with_replacement(_RATES, 2), *combinations_with_replacement(_FORCES, 2)]
     pairs += [(r, f) for r in _RATES for f in _FORCES]
-    products = [(f"{a} ** 2" if a == b else f"{a} * {b}", 2) for a, b in pairs]
     alone = ("speed", "speed ** 2", *(_RATES if sensor == "accel" else ()))
-    return [*((a, 1 + ("**" in a)) for a in alone), *products]
+    return [*alone, *(f"{a} ** 2" if a == b else f"{a} * {b}" for a, b in pairs)]
 
 
 class Expression(Effect):
@@ -76,10 +74,9 @@ class Expression(Effect):
     def added(self, use: EffectUse, t: Array, temperature: Array | None) -> Array:
         """What needs no motion."""
         e = equation(use.equation, use.sensor)
-        return _on(
-            e,
-            use.scalar("value") * e.of(Signals(t, temperature=temperature)) if e.names <= _ALONE else np.zeros(t.size),
-        )
+        if use.sensor == "gnss" or not e.names <= _ALONE:
+            return np.zeros((t.size, 3))
+        return _on(e, use.scalar("value") * e.of(Signals(t, temperature=temperature)))
 
     def omitted(
         self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64], signals: Signals
@@ -115,20 +112,13 @@ class Expression(Effect):
         )
         out = []
         for sensor in self.sensors:
-            for term, signals in dictionary(sensor):
-                e = [equation(f"{target} = {term}", sensor) for target in (NED if sensor == "gnss" else XYZ)]
-                u = e[0].of(at if sensor == "gnss" else along)
+            signals = at if sensor == "gnss" else along
+            for term in dictionary(sensor):
+                e = [equation(f"{target} = {term}", sensor) for target in TARGETS[sensor]]
+                u = e[0].of(signals)
                 scale = SIZES[sensor] / max(float(np.std(u)), 1e-3 * float(np.abs(u).max()), 1e-12)
                 for k, one in enumerate(e):
-                    made = Column(
-                        self.id,
-                        sensor,
-                        "value",
-                        (one.text,),
-                        scale,
-                        one.unit,
-                        odds=float(np.exp(-LONGER * (signals - 1))),
-                    )
+                    made = Column(self.id, sensor, "value", (one.text,), scale, one.unit)
                     if sensor == "gnss":
                         M = np.zeros((u.size, 6))
                         M[:, k] = u
@@ -136,6 +126,10 @@ class Expression(Effect):
                     else:
                         out.append(replace(made, inputs=((first_axis(sensor) + k, u),)))
         return out
+
+    def odds(self, column: Column) -> float:
+        """Rarer by each further signal or power."""
+        return math.exp(-LONGER * (equation(column.axes[0], column.sensor).length - 1))
 
     def subsets(self, columns: Sequence[Column]) -> list[Subset]:
         """Each alone."""

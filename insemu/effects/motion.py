@@ -62,8 +62,6 @@ class Column:
         Unit errors of position and velocity where the filter starts, estimated minus true, m and m/s NED.
     power : float
         The coefficient is the parameter to this power, and so is the scale; the unit is that of the parameter.
-    odds : float
-        How common it is among the columns of its effect.
     """
 
     effect: str
@@ -77,7 +75,6 @@ class Column:
     runs: bool = False
     start: Array | None = None
     power: float = 1.0
-    odds: float = 1.0
 
     @classmethod
     def of(

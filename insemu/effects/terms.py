@@ -115,6 +115,12 @@ class Equation:
         return f"{self.target} = {ast.unparse(self.term)}"
 
     @property
+    def length(self) -> int:
+        """How many signals and powers its term has."""
+        nodes = list(ast.walk(self.term))
+        return sum(isinstance(n, ast.Pow) or (isinstance(n, ast.Name) and n.id in SIGNALS) for n in nodes)
+
+    @property
     def unit(self) -> str:
         """Unit of the coefficient, SI."""
         up = [_power(b, e) for b, e in zip(_BASE, self.dimension, strict=True) if e > 0]

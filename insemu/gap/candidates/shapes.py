@@ -114,7 +114,7 @@ def _shapes(columns: Sequence[Column]) -> list[Variant]:
             if members:
                 index = np.array(mine)[members]
                 unit = np.diag([columns[i].scale for i in index])
-                odds = math.prod(columns[i].odds for i in index)
+                odds = math.prod(EFFECTS[key[0]].odds(columns[i]) for i in index)
                 out.append(Variant(*key, axes, label, index, (((), unit),), np.array(sizes(key[0])), odds=odds))
     return out
 
