@@ -300,6 +300,8 @@ def _held_out(
 
 
 def _is(s: Finding | Member, h: sensors.Hidden) -> bool:
+    if h.equation:
+        return (s.effect, s.sensor, s.axes) == ("expression", h.sensor, (h.equation,))
     return (s.effect, s.sensor) == (h.effect, h.sensor) and _there(h.axis, s.axes)
 
 
@@ -321,6 +323,8 @@ def truths(h: sensors.Hidden, world: sensors.World) -> dict[str, float]:
     name = names.get(h.effect, "value")
     if "lag" in v:
         return {f"c1_{axis}": v["value"], f"lag_{axis}": v["lag"]}
+    if h.equation:
+        return {"value": v["value"]}
     if "value" in v and "start" not in v:
         return {f"{name}_{axis}" if axis else name: v["value"]}
     if h.effect == "gnss_correlated_noise" and "begin" in v:
@@ -392,7 +396,9 @@ def scores(answers: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
         share(f"{kind}: all and only these, by name", exact)
         share(f"{kind}: the same, classes counted", held)
     share("lost samples: said", [a["lost"] for a in answers if "lost" in a])
-    share("outside: 'unexplained'", [a["verdict"] == "unexplained" for a in of["outside"]])
+    outside = of["outside"]
+    share("outside: its equation, first", [bool(a["right"]) and a["right"][0][0] for a in outside])
+    share("outside: an equation or 'unexplained'", [_strange(a) >= 1.0 for a in outside])
     held = [a for a in answers if "interval" in a]
     share("index after refinement: interval holds 1", [a["interval"][0] <= 1.0 <= a["interval"][1] for a in held])
     both = np.array([(a["gained"], a["oracle"]) for a in held if math.isfinite(a["oracle"])]).reshape(-1, 2)
@@ -445,9 +451,10 @@ def scores(answers: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
 
 def _strange(a: dict[str, Any]) -> float:
     """How much an answer speaks for something outside the catalogue."""
-    if a["verdict"] == "unexplained":
-        return 2.0 - (a["findings"][0]["confidence"] if a["findings"] else 0.0)
-    return 1.0 - a["findings"][0]["confidence"] if a["findings"] else 0.0
+    first = a["findings"][0] if a["findings"] else {"effect": "", "confidence": float(a["verdict"] == "nothing missing")}
+    if first["effect"] == "expression":
+        return 1.0 + float(first["confidence"])
+    return float(a["verdict"] == "unexplained") + 1.0 - float(first["confidence"])
 
 
 def _area(high: Sequence[float], low: Sequence[float]) -> float:

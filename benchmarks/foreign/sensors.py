@@ -54,6 +54,13 @@ OUTSIDE: dict[tuple[str, str], float] = {
     ("position_with_heading", "gnss"): 0.2,
     ("position_with_speed", "gnss"): 0.02,
 }
+#: Their equations; of an axis the next one is meant by ``{n}``.
+EQUATIONS: dict[str, str] = {
+    "accel_square": "{a} = force_{a} ** 2",
+    "rate_times_force": "{a} = rate_{n} * force_{a}",
+    "position_with_heading": "north = cos(heading)",
+    "position_with_speed": "east = speed",
+}
 #: Effects of fixes and processes that are drawn at a size of their own.
 DRAWN = ("random_walk", "gnss_noise_level", "gnss_correlated_noise", "gnss_outliers", "gnss_multipath_step")
 #: What shows in the samples rather than in the fixes.
@@ -68,6 +75,12 @@ class Hidden:
     sensor: str
     axis: str
     values: dict[str, float]
+
+    @property
+    def equation(self) -> str:
+        """What no catalogue holds, as an equation; empty for the rest."""
+        axis = self.axis[:1]
+        return EQUATIONS.get(self.effect, "").format(a=axis, n="xyz"["xyz".find(axis) - 2])
 
     @property
     def size(self) -> float | None:
