@@ -17,6 +17,7 @@ from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.beliefs.refined import refined_nominal, uses_of
 from insemu.gap.candidates.mounting import Mounted, find_mounting
 from insemu.gap.candidates.shapes import EQUATIONS
+from insemu.gap.candidates.signs import check_signs
 from insemu.gap.candidates.timing import find_times
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.drive.preparation import Flown
@@ -155,6 +156,7 @@ def _drive(
     say("running the nominal filter")
     first = flown = flown or Flown.of(*drive_without(measured, now))
     recording, moved = first.recording, first.nominal
+    check_signs(first, say)
     for late in find_times(first, without, say):
         now, flown = taken(replace(late, metres=worth_of_settled(first.prepared, late))), None
     if early:
@@ -175,7 +177,9 @@ def _drive(
     if own_axes[0] is not recording:
         (recording, moved), flown = own_axes, None
     scores = pool if hold_out else None
-    report, held_out = find_dynamic_gap(recording, moved, rng=rng, without=skip, progress=say, flown=flown, pool=scores)
+    report, held_out = find_dynamic_gap(
+        recording, moved, rng=rng, without=skip, progress=say, flown=flown, came=first if early else None, pool=scores
+    )
     known = struck_out(drive_without(measured, now, {})[0], recording)
     report = replace(report, outliers=both_told(measured, known, report.outliers))
     out = _together(report, early, mounted, nominal)

@@ -320,6 +320,8 @@ class Scene:
     def _field(self, G: Array, corrected: Array) -> Field:
         """The field of some columns, what was corrected put back."""
         y = self.full_y.ravel()[self._rows]
+        if not (np.isfinite(y).all() and np.isfinite(G).all()):
+            raise InputError("the nominal filter diverges on this recording", where=self.original.nominal.source)
         spread = float(np.clip((np.median(np.abs(y)) / 0.6745) ** 2, 0.9, 1.1))
         y += corrected @ np.array(list(self.corrections.values()))
         return Field(y, G, spread)

@@ -395,14 +395,18 @@ def find_effects(
 
 
 @on_one_thread
-def _held_out(at: MendedDrive, scene: Scene, threshold: float, without: Collection[str], policy: Policy) -> DriveScore:
-    """Figures on the last part of the recording with effects named on the first."""
+def _held_out(
+    at: MendedDrive, scene: Scene, came: Flown | None, threshold: float, without: Collection[str], policy: Policy
+) -> DriveScore:
+    """Figures on the last part of the recording with effects named on the first; before them it is as it came."""
     with under(policy):
         start, end = float(scene.motion.t[0]), float(scene.motion.t[-1])
         cut = start + rules().naming_share * (end - start)
         first = find_effects(scene, cut, threshold, without, lambda _: None)
         plain = scene
-        if at.noticed or at.late:
+        if came is not None:
+            plain = Scene.of(came.prepared)
+        elif at.noticed or at.late:
             plain = Scene.of(prepare(at.whole, at.believed, at.parts, at.levels))
         return held_out(plain, first, cut)
 
@@ -415,6 +419,7 @@ def find_dynamic_gap(
     without: Collection[str] = (),
     progress: Callable[[str], None] | None = None,
     flown: Flown | None = None,
+    came: Flown | None = None,
     pool: Executor | None = None,
 ) -> tuple[GapReport, Callable[[], DriveScore]]:
     """Find what a drive or flight has that the nominal model lacks.
@@ -423,6 +428,8 @@ def find_dynamic_gap(
     ----------
     recording, nominal, rng, without, progress, flown, pool
         As :func:`insemu.gap.find_gap` says; the recording has fixes.
+    came : Flown, optional
+        The nominal filter on the recording as it came, where something was taken off before.
 
     Returns
     -------
@@ -450,7 +457,7 @@ def find_dynamic_gap(
         without = (*without, "gnss_correlated_noise")
     competing = [v for v in bank(scene) if v.effect not in without]
     threshold = max(rules().least_nats, null_threshold(competing, scene.data, rng, always=scene.always))
-    scored = meanwhile(pool, _held_out, at, scene, threshold, without, rules())
+    scored = meanwhile(pool, _held_out, at, scene, came, threshold, without, rules())
     named = find_effects(scene, None, threshold, without, say)
     # a generator of its own: the search of a later pass draws what it always drew
     drawn, repeated = rng.spawn(2)
