@@ -28,7 +28,7 @@ from insemu.gap.problems.findings import with_effect
 from insemu.gap.problems.known import both_told, drive_without, in_imu_axes, static_without, struck_out
 from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.problems.together import MOST_TURNS, left
-from insemu.gap.verdict import Finding, GapReport, Interval, held_out_said, judged
+from insemu.gap.verdict import Finding, GapReport, Interval, half_sample_said, held_out_said, judged
 from insemu.gap.worth import worth_of_mounting, worth_of_settled
 from insemu.records import AXES, Recording
 
@@ -188,6 +188,7 @@ def _drive(
         return find_dynamic_gap(recording, moved, rng=rng, without=skip, progress=say)[0]
 
     out, refined = _looked_closer(measured, nominal, out, search, [s.effect for s in early], say)
+    out = replace(out, findings=tuple(half_sample_said(s, measured.imu) for s in out.findings))
     if hold_out:
         say("scoring on held-out fixes")
         out = _scored(out, held_out(), mounted)
