@@ -529,7 +529,8 @@ class EffectUse:
         values: dict[str, tuple[float, ...]] = {}
         for name, quantity in given.items():
             p = effect.parameter(name)
-            numbers = _parsed(effect, p, quantity, unit if equation else effect.unit(p.name, sensor))
+            own = unit if equation and p.name == "value" else effect.unit(p.name, sensor)
+            numbers = _parsed(effect, p, quantity, own)
             if axes is not None and p.size == 3 and len(numbers) == 1:
                 chosen = list(axes) if isinstance(axes, list | tuple) else [axes]
                 for axis in chosen:
@@ -563,7 +564,7 @@ def _equation(effect: Effect, given: Any, sensor: str) -> str:
     if "equation" not in effect.traits:
         if given:
             raise InputError(
-                f"effect '{effect.id}' has the key 'equation', expected it of the effect 'expression' alone"
+                f"effect '{effect.id}' has the key 'equation', expected it of the effects 'expression' and 'expression_step' alone"
             )
         return ""
     if not isinstance(given, str) or not given:

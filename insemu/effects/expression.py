@@ -45,17 +45,21 @@ def dictionary(sensor: str) -> list[str]:
     return [*alone, *(f"{a} ** 2" if a == b else f"{a} * {b}" for a, b in pairs)]
 
 
-class Expression(Effect):
-    """What has no name, as an equation."""
+_VALUE = EffectParameter("value", "", 1, (1.0,), None, "in SI units of the target over the term", join="sum")
 
-    id, name, family = "expression", "error that follows an equation", "model"
+
+class _Equation(Effect):
+    """An error that is a number times a term."""
+
+    family = "model"
     sensors = ("gyro", "accel", "gnss")
-    formula = "equation: target = term; e_target = value x term"
-    parameters = (EffectParameter("value", "", 1, (1.0,), None, "in SI units of the target over the term", join="sum"),)
     excitation, in_filter = "what stands in the term has to vary", "the term of the estimated signals is taken off"
     axes, traits = (), frozenset({"equation"})
     stage, size = Stage.LAW, "value"
-    absent = {"trial": "benchmarks.foreign hides equations that the search does not read"}
+
+    def error(self, use: EffectUse, signals: Signals) -> Array:
+        """The error (n,) on its target."""
+        return use.scalar("value") * equation(use.equation, use.sensor).of(signals)
 
     def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
         """Add it to its axis."""
@@ -64,19 +68,18 @@ class Expression(Effect):
             r = chain.need_reference(use)
         moving = (None, None) if r is None else (r.vel_ned, r.rpy)
         signals = Signals(chain.t, *moving, chain.signal[:3].T, chain.signal[3:].T, chain.temperature)
-        chain.rows(use.sensor)[XYZ.index(e.target)] += use.scalar("value") * e.of(signals)
+        chain.rows(use.sensor)[XYZ.index(e.target)] += self.error(use, signals)
 
     def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:
         """Add it to the positions."""
-        e = equation(use.equation, "gnss")
-        fixes.added[:, NED.index(e.target)] += use.scalar("value") * e.of(fixes.signals())
+        fixes.added[:, NED.index(equation(use.equation, "gnss").target)] += self.error(use, fixes.signals())
 
     def added(self, use: EffectUse, t: Array, temperature: Array | None) -> Array:
         """What needs no motion."""
         e = equation(use.equation, use.sensor)
         if use.sensor == "gnss" or not e.names <= _ALONE:
             return np.zeros((t.size, 3))
-        return _on(e, use.scalar("value") * e.of(Signals(t, temperature=temperature)))
+        return _on(e, self.error(use, Signals(t, temperature=temperature)))
 
     def omitted(
         self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64], signals: Signals
@@ -86,7 +89,7 @@ class Expression(Effect):
         if use.sensor == "gnss" or e.names <= _ALONE:
             return None, None
         here = replace(signals, velocity=trajectory.vel_ned[rows], rpy=trajectory.rpy[rows])
-        less = _on(e, -use.scalar("value") * e.of(here))
+        less = _on(e, -self.error(use, here))
         return (less, None) if use.sensor == "gyro" else (None, less)
 
     def corrected_along(self, use: EffectUse, gnss: GnssRecord, way: AntennaMotion) -> GnssRecord:
@@ -97,11 +100,24 @@ class Expression(Effect):
         rate = None if way.rate is None else way.rate[k]
         here = Signals(gnss.t, way.velocity_at(gnss.t), rotation.rpy_from_dcm(way.C[k]), rate)
         error = np.zeros((len(gnss), 3))
-        error[:, NED.index(e.target)] = -use.scalar("value") * e.of(here)
+        error[:, NED.index(e.target)] = -self.error(use, here)
         there = np.isfinite(gnss.llh).all(axis=1)
         llh = gnss.llh.copy()
         llh[there] = earth.move(llh[there], error[there])
         return replace(gnss, llh=llh)
+
+    def merged(self, old: EffectUse, new: EffectUse) -> EffectUse | None:
+        """The sum of two of one equation."""
+        return super().merged(old, new) if old.equation == new.equation else None
+
+
+class Expression(_Equation):
+    """What has no name, as an equation."""
+
+    id, name = "expression", "error that follows an equation"
+    formula = "equation: target = term; e_target = value x term"
+    parameters = (_VALUE,)
+    absent = {"trial": "benchmarks.foreign hides equations that the search does not read"}
 
     def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
         """Every term of the dictionary on every axis and in every direction."""
@@ -135,9 +151,21 @@ class Expression(Effect):
         """Each alone."""
         return super().subsets(columns)[: len(columns)]
 
-    def merged(self, old: EffectUse, new: EffectUse) -> EffectUse | None:
-        """The sum of two of one equation."""
-        return super().merged(old, new) if old.equation == new.equation else None
+
+class ExpressionStep(_Equation):
+    """An error that follows an equation from a time on: a scale factor, or a misalignment, that changes."""
+
+    id, name = "expression_step", "error that follows an equation from a time on"
+    formula = "equation: target = term; e_target = value x term for t > start"
+    parameters = (_VALUE, EffectParameter("start", "s", 1, (300.0,), None, "when it begins"))
+    absent = {
+        "signature": "one column for every start: the search scans them (errors of the sensors from a time on)",
+        "trial": "not drawn: the recordings of earlier seeds would be others",
+    }  # fmt: skip
+
+    def error(self, use: EffectUse, signals: Signals) -> Array:
+        """Zero up to the start."""
+        return np.where(signals.t > use.scalar("start"), super().error(use, signals), 0.0)
 
 
 def _on(e: Equation, error: Array) -> Array:
@@ -147,4 +175,4 @@ def _on(e: Equation, error: Array) -> Array:
     return out
 
 
-EFFECTS: tuple[Effect, ...] = (Expression(),)
+EFFECTS: tuple[Effect, ...] = (Expression(), ExpressionStep())

@@ -14,10 +14,19 @@ from numpy.typing import NDArray
 from insemu.effects import EFFECTS, Column, FixGeometry, Motion, catalogue_columns
 from insemu.errors import InputError
 from insemu.gap.drive.apart import without
+from insemu.gap.drive.changes import changing_terms
 from insemu.gap.drive.columns import filled_columns, rectified_columns
 from insemu.gap.drive.corrected import corrected_data, slow_knots
 from insemu.gap.drive.preparation import Prepared, fitted_levels
-from insemu.gap.drive.signatures import Loop, bias_steps, columns_response, fix_step_response, knot_response, ramps
+from insemu.gap.drive.signatures import (
+    Loop,
+    bias_steps,
+    built_up,
+    columns_response,
+    fix_step_response,
+    knot_response,
+    ramps,
+)
 from insemu.gap.drive.sizes import SIZE_REL, has_size, known_size, likeliest_size, slope_about, smoothing
 from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.evidence.surrogate import FixNoise, Gains, Surrogate
@@ -28,9 +37,9 @@ from insemu.records import GnssRecord
 Array = NDArray[np.float64]
 
 #: A step: place, start and end in s. Places 0 to 2 are components of the position fixes, north, east, down; 3 to 8 biases of the sensors' six axes;
-#: from ARMS on axes of the lever arm.
+#: from ARMS on axes of the lever arm; from TERMS on errors that follow a signal (:attr:`Scene.changing`).
 Window = tuple[int, float, float]
-ARMS = 9
+ARMS, TERMS = 9, 12
 
 #: Times that the filter runs again at the most, on corrected data until its errors are small, or at other levels: a bound, so that a search ends.
 MOST_RUNS = 5
@@ -40,7 +49,7 @@ SHARES, BENT = (1.0, 0.3), 0.25
 #: Starts of steps in the fixes that are tried first, and of changes of the lever arm.
 STARTS, ARM_STARTS = 120, 40
 #: What a scene knows that other noise of the fixes leaves as it is, and what more steps in the fixes do.
-_RESPONSES = ("_answers", "_ramps", "steps_raw", "_arms_raw")
+_RESPONSES = ("_answers", "_ramps", "steps_raw", "_arms_raw", "changing", "changing_built")
 _WHITENED = ("_plain", "full_y", "step_columns", "arm_columns", "_gains")
 
 
@@ -197,9 +206,23 @@ class Scene:
         """Whitened responses (r, starts) of unit changes of the lever arm along an axis (0..2) of the body from each start (s) on."""
         return self.whitened(fix_step_response(self.loop, self.arm_fixes(axis)[None], starts))
 
+    @cached_property
+    def changing(self) -> list[Column]:
+        """Errors that follow a signal, which may begin at a time."""
+        return changing_terms(self.motion)
+
+    @cached_property
+    def changing_built(self) -> Array:
+        """What each of these builds up between the nodes, (nodes, c, 9)."""
+        return built_up(self.loop, self.motion, self.changing)[0]
+
     def window_column(self, window: Window) -> Column:
-        """A step of the fixes that was found, as a column."""
+        """A step that was found of the fixes, of the lever arm or of what follows a signal, as a column."""
         (place, start, end), t = window, self.loop.result.fixes.t
+        if place >= TERMS:
+            c = self.changing[place - TERMS]
+            inside = (self.motion.t > start) & (self.motion.t <= end)
+            return replace(c, inputs=tuple((axis, u * inside) for axis, u in c.inputs))
         inside = ((t > start) & (t <= end)).astype(np.float64)
         M = np.zeros((t.size, 6))
         if place < 3:
@@ -227,14 +250,14 @@ class Scene:
         fixes = self.loop.result.fixes
         M, D = np.zeros((len(fixes), 6, len(windows))), None
         for i, (place, start, end) in enumerate(windows):
-            if place < 3 or place >= ARMS:
+            if place < 3 or ARMS <= place < TERMS:
                 M[:, :, i] = self.window_column(windows[i]).fixes
                 continue
             D = np.zeros((len(self._ramps), len(windows), 9)) if D is None else D
             share = bias_steps(self.loop, self.motion, np.array([start])) - bias_steps(
                 self.loop, self.motion, np.array([end])
             )
-            D[:, i] = share * self._ramps[:, place - 3]
+            D[:, i] = share * (self._ramps[:, place - 3] if place < ARMS else self.changing_built[:, place - TERMS])
         return self.loop.respond(len(windows), D, M) if windows else M
 
     def bias_step_columns(self, axis: int, starts: Array) -> Array:

@@ -139,7 +139,7 @@ class DriveProblem(SettledFixes):
         out = linear_hypotheses(self.scene, self._beside(), self.data, given, skip)
         for effect, look in STEPS.items():
             if effect not in skip:
-                least = self._step_nats() if effect != "bias_step" else -math.inf
+                least = -math.inf if effect in ("bias_step", "expression_step") else self._step_nats()
                 out += [h for h in look(beside) if h.nats > least]
         out += covariance_hypotheses(self.scene, given, skip, self.cut, self._levelled())
         out = held(beside, out, self.threshold)

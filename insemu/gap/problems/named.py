@@ -173,7 +173,7 @@ def told(f: Found[Change], named: Named, outages: Sequence[Outage]) -> Finding:
         else:
             sd = math.sqrt(float(covariance[0, 0]))
             values = (Value.normal("value", float(mean[0]), sd, values[0].unit), *values[1:])
-            if h.effect == "lever_arm_step" and h.change.window is not None:
+            if h.effect in ("lever_arm_step", "expression_step") and h.change.window is not None:
                 column = scene.window_column(h.change.window)
                 metres = worth_in_motion(scene.loop, scene.motion, [column], [values[0].value])
     members, others, confidence = class_of(*rivals_of(f))
