@@ -99,7 +99,7 @@ def typical(effect: Effect, sensor: str) -> EffectUse:
         values["limit"] = (0.3 if sensor == "gyro" else 5.0,)
     if effect.id == "gnss_multipath_step":
         values["start"], values["duration"] = (10.0,), (20.0,)
-    if effect.id == "lever_arm_step":
+    if effect.id in ("lever_arm_step", "expression_step"):
         values["start"] = (10.0,)
     if effect.id == "gnss_quality":
         values["good"] = (5.0,)

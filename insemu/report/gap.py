@@ -137,6 +137,8 @@ def finding_action(finding: Finding, assumed: Sequence[str] = ()) -> str:
         since = "".join(f" after {v.value:.0f} s" for v in shown if v.name == "start")
         return f"find what makes it, or take it off: {target} = {shown[0].value:.3g} {shown[0].unit} * ({term}){since}"
     text = _ACTIONS.get(finding.effect, "model or calibrate it: {}")
+    from insemu.gap import HALF_SAMPLE
+
     if finding.variant == HALF_SAMPLE:
         text = 'read the samples as means over the interval before the stamp (--map "kind=mean"), or shift the stamps by half a sample: {}'
     if any(part in said for said in assumed for part in ("positions", "velocities") if part in text):
