@@ -30,7 +30,17 @@ from insemu.drives.windows import (
     spectra,
     within,
 )
-from insemu.emulate import VEHICLES, Levels, MotionSpectrum, Moving, MovingVehicle, Regime, Slip, Track, ideal_imu, smooth_track
+from insemu.emulate import (
+    VEHICLES,
+    MotionSpectrum,
+    Moving,
+    MovingVehicle,
+    Regime,
+    Slip,
+    Track,
+    ideal_imu,
+    smooth_track,
+)
 from insemu.errors import InputError
 from insemu.filters import with_standard_deviations
 from insemu.noise import WN, NoiseModel
@@ -138,7 +148,9 @@ def learn_vehicle(
     of_class = list(classes(regime, motion[0]))
     bands = np.array([e for e in (LOWEST, *EDGES[1:]) if e < 0.8 * edges[-1]] + [edges[-1]])
     begins = np.diff(first, prepend=first[0] - length) != length // 2
-    levels, power = levels_of(f, z, np.abs(z_path) ** 2 + noise, bands, motion, [rows for _, rows, _ in of_class], begins)
+    levels, power = levels_of(
+        f, z, np.abs(z_path) ** 2 + noise, bands, motion, [rows for _, rows, _ in of_class], begins
+    )
     band = np.clip(np.searchsorted(bands, np.sqrt(edges[:-1] * edges[1:])) - 1, 0, bands.size - 2)
     for word, rows, where in of_class:
         if rows.sum() < FEWEST:
@@ -291,9 +303,9 @@ def classes(
 def _regime(
     name: str, where: Mapping[str, tuple[float, float]], edges: Array, Y: Complex, known: Complex, scale: Array
 ) -> tuple[Regime, list[str]]:
-    """A regime from spectral matrices (w, c, 6, 6) of its windows, of their path with the noise, and their levels (w, c, 6); and what is hidden in it.
+    """A regime from matrices (w, c, 6, 6) of its windows and of path and noise, and powers (w, c, 6); and what is hidden in it.
 
-    Shapes and coherences are means over windows of what is there for the level, so loud windows count no more than others.
+    Coherences are means over windows divided by their powers, so loud windows count no more than others.
     """
     power = np.einsum("wcii->wci", Y).real
     left = power - np.einsum("wcii->wci", known).real
@@ -311,7 +323,11 @@ def _regime(
     spread = np.maximum(power.std(axis=0) / density, 1e-3) / np.sqrt(0.5 * len(Y))
     cell = rows_of(edges)[1]
     regime = Regime(
-        name, table(edges, density), (0.5 * (coherence + np.conj(np.swapaxes(coherence, 1, 2))))[cell], density_sigma=spread[cell], **where
+        name,
+        table(edges, density),
+        (0.5 * (coherence + np.conj(np.swapaxes(coherence, 1, 2))))[cell],
+        density_sigma=spread[cell],
+        **where,
     )
     words = [
         f"{axis_name(a)} {' and '.join(f'{x:.2g} to {y:.2g}' for x, y in _stretches(edges, hidden[:, a]))} Hz"

@@ -61,9 +61,9 @@ def levels_of(
             mean = density[rows].mean(axis=0)
             free = np.stack([mean[i].sum(axis=0) ** 2 / (mean[i] ** 2).sum(axis=0) for i in inside], axis=1) / HANN
             level[rows] = steady(power[rows], free)
-    level = sharpened(np.maximum(level - hidden, HIDDEN * level), begins)
+    log = np.log(sharpened(np.maximum(level - hidden, HIDDEN * level), begins))
     moved = np.stack([motion[0], np.abs(motion[1]), motion[2]], axis=1)
-    return Levels(edges, 0.5 * WINDOW_S, moved, level, begins), power
+    return Levels(edges, 0.5 * WINDOW_S, moved, log, begins), power
 
 
 def steady(power: Array, freedom: Array) -> Array:
@@ -98,8 +98,8 @@ def sharpened(density: Array, begins: NDArray[np.bool_]) -> Array:
     -----
     Multiplicative steps, by which levels stay positive (Richardson 1972, Lucy 1974).
     """
-    u = np.linspace(-2.0, 2.0, 401)[1:-1]  # time over a level's step; a window is four steps... of half a window
-    hann = np.cos(0.25 * np.pi * 2.0 * u) ** 4 * (np.abs(u) <= 1.0)
+    u = np.linspace(-1.0, 1.0, 401)  # of a window: a level's step is half of it
+    hann = np.cos(0.5 * np.pi * u) ** 4
     out = density.copy()
     starts = np.flatnonzero(begins)
     for first, last in zip(starts, [*starts[1:], len(begins)], strict=True):

@@ -72,7 +72,9 @@ class Blocks:
         self.spectrum, self.hop, self.rate, self.seed, self.mount = spectrum, hop, rate, seed, mount
         levels = spectrum.levels
         bands = 1 if levels is None else levels.edges.size - 1
-        self.own, self.adds = (np.arange(6), np.arange(6)) if levels is None else (np.tile(OWN, bands), np.tile(ADDS, bands))
+        self.own, self.adds = (
+            (np.arange(6), np.arange(6)) if levels is None else (np.tile(OWN, bands), np.tile(ADDS, bands))
+        )
         if levels is not None:  # levels are sorted by axes, then by bands
             self.own = self.own * bands + np.repeat(np.arange(bands), OWN.size)
         self._held: OrderedDict[int, tuple[Complex, dict[int, Array]]] = OrderedDict()
@@ -105,7 +107,9 @@ class Blocks:
             f = self._frequencies
             factor = self.spectrum.factors(regime, f)
             made = self._columns(factor, f) if self.spectrum.levels is None else self._banded(factor, f)
-            self._factors[regime] = np.ascontiguousarray(made * np.sqrt(0.5 * self.hop * self.rate))  # of one-sided densities
+            self._factors[regime] = np.ascontiguousarray(
+                made * np.sqrt(0.5 * self.hop * self.rate)
+            )  # of one-sided densities
         return self._factors[regime]
 
     def _columns(self, factor: Complex, f: Array) -> Complex:

@@ -157,8 +157,8 @@ def _levels(reader: Reader, value: Any) -> Levels:
     if not rows:
         raise reader.fail((*place, "stretches"), "found no rows, expected one at least")
     x, step = np.array(rows), reader.number(got["step"], (*place, "step"))
-    density = 10.0 ** x[:, 3:].reshape(len(x), 6, -1)
-    return reader.made(place, lambda: Levels(edges, step, x[:, :3], density, np.array(begins)))
+    log = np.log(10.0) * x[:, 3:].reshape(len(x), 6, -1)
+    return reader.made(place, lambda: Levels(edges, step, x[:, :3], log, np.array(begins)))
 
 
 def _regime(reader: Reader, name: str, value: Any, place: Place, m: int) -> Regime:
@@ -261,8 +261,10 @@ def vehicle_text(vehicle: MovingVehicle) -> str:
 
 def _levels_text(levels: Levels) -> list[str]:
     out = ["levels:", f"  edges: {_row(levels.edges)}  # Hz", f"  step: {_digits(levels.step)}  # s"]
-    out.append(f"  stretches:  # speed m/s, turn rad/s, climb m/s, then log10 of the densities of the bands of {', '.join(AXES)}")
-    rows = np.hstack([levels.motion, np.log10(levels.density).reshape(len(levels.motion), -1)])
+    out.append(
+        f"  stretches:  # speed m/s, turn rad/s, climb m/s, then log10 of the densities of the bands of {', '.join(AXES)}"
+    )
+    rows = np.hstack([levels.motion, (levels.log / np.log(10.0)).reshape(len(levels.motion), -1)])
     for begins, row in zip(levels.begins, rows, strict=True):
         text = ", ".join(f"{x:.3g}" if k < 3 else f"{x:.2f}" for k, x in enumerate(row))
         out.append(f"    {'- ' if begins else '  '}- [{text}]")

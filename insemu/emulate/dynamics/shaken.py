@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from insemu.compiled import njit
 from insemu.emulate.dynamics.blocks import STREAMS, Blocks, Mount
 from insemu.emulate.dynamics.files import MovingVehicle
+from insemu.emulate.dynamics.levels import between
 from insemu.emulate.dynamics.slip import SlipMotion
 from insemu.emulate.dynamics.slow import SlowProcess
 from insemu.emulate.dynamics.spectrum import Line, MotionSpectrum, weights
@@ -74,7 +75,7 @@ class BodyMotion:
         self._pages: OrderedDict[int, Array] = OrderedDict()
         self._periods: dict[int, Array] = {}
         self._noses: Array | None = None
-        self._rows: NDArray[np.int64] | None = None
+        self._powers: Array | None = None
 
         # regimes that swing alike swing together
         self._swings = {
@@ -145,10 +146,15 @@ class BodyMotion:
         levels = self.spectrum.levels
         if levels is None:
             return np.ones((t.size, 6))
-        if self._rows is None:
-            at = np.arange(self._slowly(FIRST_PAGE)[0] - levels.step, self._slowly(self._last_page)[-1] + levels.step, levels.step)
-            self._rows = levels.rows(self._motion(np.clip(at, self.path.start, self.path.end)), np.random.default_rng((self.seed, STREAMS["level"])))
-        return np.sqrt(levels.between(t, float(self._slowly(FIRST_PAGE)[0] - levels.step), self._rows))
+        start = float(self._slowly(FIRST_PAGE)[0]) - levels.step
+        if self._powers is None:
+            at = np.clip(
+                np.arange(start, float(self._slowly(self._last_page)[-1]) + 2.0 * levels.step, levels.step),
+                self.path.start,
+                self.path.end,
+            )
+            self._powers = levels.drawn(self._motion(at), np.random.default_rng((self.seed, STREAMS["level"])))
+        return np.sqrt(between((t - start) / levels.step, self._powers))
 
     def _motion(self, t: Array) -> Array:
         """Horizontal speed, magnitude of the turn rate and rate of climb (n, 3) of the path."""
@@ -263,7 +269,7 @@ def _cubic(slow: Array, every: int, out: Array) -> None:
 def _add_noise(
     body: Array, level: Array, gains: Array, own: NDArray[np.int64], adds: NDArray[np.int64], late: Array, early: Array
 ) -> None:
-    """Add the second half of one block and the first of the next, (channels, n) each, with gains of their ``own`` to the columns to which each ``adds``."""
+    """Add the second half of one block and the first of the next, (channels, n) each: gain of its ``own``, column to which it ``adds``."""
     for i in range(len(body)):
         for j in range(len(adds)):
             body[i, adds[j]] += level[i] * gains[i, own[j]] * (late[j, i] + early[j, i])

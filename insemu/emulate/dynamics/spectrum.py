@@ -13,13 +13,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from insemu.emulate.dynamics.levels import SOFT_CLIMB, SOFT_SPEED, SOFT_SPEED_SHARE, SOFT_TURN, Levels
+from insemu.emulate.dynamics.levels import Levels
 from insemu.errors import InputError
 from insemu.records import AXES
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+#: How far outside of a regime's ranges its weight is down to exp(-1/2): m/s and share of the speed, rad/s, m/s.
+SOFT_SPEED, SOFT_SPEED_SHARE, SOFT_TURN, SOFT_CLIMB = 0.3, 0.05, 0.03, 0.3
 #: Most negative eigenvalue of a coherence matrix that is taken for rounding.
 _ROUNDING = -0.02
 
