@@ -10,7 +10,7 @@ import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, rotation
-from insemu.effects import LONGEST_ARM, EffectUse, FixErrors
+from insemu.effects import LONGEST_ARM, EffectUse, FixErrors, Signals
 from insemu.emulate.table import SAMPLE_BYTES, check_size
 from insemu.errors import InputError
 from insemu.records import GnssRecord, Trajectory
@@ -302,7 +302,12 @@ def _fixes(
     """Fixes at times (n,), true places of the antenna, and which of them lie on the trajectory."""
     of_position, of_velocity = rng.spawn(2)
     own = [use for use in effects if use.sensor == "gnss"]
-    errors = FixErrors(t, sigma, sigma_v, of_position, of_velocity)
+
+    def signals() -> Signals:
+        _, vel, q, rate = state_at(trajectory, np.clip(t, trajectory.t[0], trajectory.t[-1]))
+        return Signals(t, vel, rotation.rpy_from_dcm(rotation.dcm_from_quaternion(q)), rate)
+
+    errors = FixErrors(t, sigma, sigma_v, of_position, of_velocity, signals)
     for use, child in zip(own, rng.spawn(len(own)), strict=True):
         use.effect.inject_fixes(errors, use, child)
     valid = t - errors.latency

@@ -19,7 +19,8 @@ from insemu import earth, rotation
 from insemu.errors import InputError
 from insemu.filters.alignment import LARGEST_HEADING_SIGMA, Alignment, sigma_of_fixes
 from insemu.filters.ekf import LooselyCoupledEKF
-from insemu.filters.motion import ACCEL_BIAS, LEAST_HEADING, LEAST_TILT, LEAST_VELOCITY, attitudes, white_noise
+from insemu.filters.integrals import attitudes
+from insemu.filters.motion import ACCEL_BIAS, LEAST_HEADING, LEAST_TILT, LEAST_VELOCITY, white_noise
 from insemu.filters.options import FilterOptions, InitialSigma
 from insemu.filters.rest import BIAS_SIGMA, rests
 from insemu.filters.smoother import smooth
