@@ -64,7 +64,7 @@ def command(
             found.recording(),
             card,
             beliefs,
-            lever_arm=arm or (0.0, 0.0, 0.0),
+            lever_arm=arm,
             rate=units.parse(trajectory_rate, "Hz") if trajectory_rate else None,
             workers=threads,
             say=say,

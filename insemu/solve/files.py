@@ -11,12 +11,13 @@ import numpy as np
 from insemu import formats, noise, rotation
 from insemu.errors import InputError
 from insemu.formats import Way, utc_of, write_table, write_way
-from insemu.records import Preparation, Recording, Trajectory
+from insemu.records import Preparation, Recording
 from insemu.shown import finite
 from insemu.solve.against import Comparison
 from insemu.solve.outages import Outages
 from insemu.solve.solution import Solution
 from insemu.stamps import Origin
+from insemu.strapdown import trajectory_of
 from insemu.whole import replacing
 
 if TYPE_CHECKING:
@@ -186,7 +187,8 @@ def write(solution: Solution, folder: Path) -> list[Path]:
     out += [write_way(way, folder / f"trajectory{end}") for end in (".csv", ".tum", *dated)]
     # on the clock of the fixes, so that the solution, the fixes and the IMU agree
     done = Preparation(d.clock, d.measured, d.said)
-    way_solved = Trajectory(way.t, way.llh, way.vel_ned, way.rpy, "solution")
+    track = solution.track or solution.smoothed
+    way_solved = trajectory_of(track.t, track.nav, "solution")
     solved = Recording(d.imu, d.gnss, way_solved, d.source, d.aids, origin=d.origin, preparation=done)
     out.append(formats.write(folder / "solved.npz", solved))
     noise.save(dict(solution.taken.candidate.belief), folder / "models.yaml")

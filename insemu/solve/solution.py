@@ -275,7 +275,7 @@ def solve(
     card: Card,
     beliefs: Sequence[Candidate],
     *,
-    lever_arm: Sequence[float] = (0.0, 0.0, 0.0),
+    lever_arm: Sequence[float] | None = None,
     rate: float | None = None,
     workers: int = 1,
     say: Say = lambda text: None,
@@ -289,7 +289,7 @@ def solve(
         Its intake card.
     beliefs : sequence of Candidate
         What is tried; see :func:`insemu.solve.beliefs.candidates`.
-    lever_arm : (3,) sequence of float
+    lever_arm : (3,) sequence of float, optional
         IMU to antenna in the axes of the recording, m.
     rate : float, optional
         Of the trajectory, Hz; that of the nodes, one a second, where it is not given.
@@ -303,7 +303,7 @@ def solve(
     InputError
         No fixes, no way to start, too little data after it, or no design with which the filter runs.
     """
-    drive = prepared(recording, lever_arm)
+    drive = prepared(recording, (0.0, 0.0, 0.0) if lever_arm is None else lever_arm)
     say("start")
     drive = drive.started(card)
     begins, ends, needed = drive.aligned.t, float(drive.imu.t[-1]), SETTLED_S + HORIZONS[0]
