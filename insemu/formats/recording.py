@@ -29,6 +29,7 @@ from insemu.formats.clocks import CLOCKS
 from insemu.formats.columns import split_header
 from insemu.formats.decoding import decoding, open_text
 from insemu.formats.npz import keys_of, load_npy, load_npz, numbers, scalar, texts
+from insemu.formats.table import Besides
 from insemu.formats.text import read_table, write_table
 from insemu.records import (
     COLUMNS,
@@ -164,10 +165,10 @@ def origin_of(arrays: Mapping[str, NDArray[Any]], source: str) -> Origin:
     return Origin(int(ns.reshape(())), clock)
 
 
-def aids_of(path: Path) -> tuple[AidRecord, ...]:
-    """The aids of a recording in our own layout; see :func:`read_recording`."""
-    arrays = folder_arrays(path) if path.is_dir() else load_npz(path)
-    return _aids(arrays, str(path))
+def besides_of(path: Path) -> Besides:
+    """Aids, initial state and preparation of a recording in our own layout; see :func:`read_recording`."""
+    arrays, source = folder_arrays(path) if path.is_dir() else load_npz(path), str(path)
+    return _aids(arrays, source), _initial(arrays, source), _preparation(arrays, source)
 
 
 def _aids(arrays: Mapping[str, NDArray[Any]], source: str) -> tuple[AidRecord, ...]:
