@@ -369,15 +369,16 @@ def imu_of(parts: Sequence[Columns], story: Story) -> ImuRecord:
             story.notes.append("the accelerometer has stamps of its own; it was interpolated to the gyroscope's")
     gyro_values = first.values["gyro"]
     temperature = first.values.get("temperature")
-    rows = np.arange(first.t.size)
-    if not (np.isfinite(gyro_values).all() and np.isfinite(accel).all()):
-        rows = np.flatnonzero(np.isfinite(gyro_values).all(axis=1) & np.isfinite(accel).all(axis=1))
+    rows, given = np.arange(first.t.size), np.hstack([gyro_values, accel])
+    if not np.isfinite(given).all():
+        rows = np.flatnonzero(np.isfinite(given).all(axis=1))
+        given = given[rows]
     story.missing += first.t.size - rows.size
     if first.t.size - rows.size:
         story.notes.append(f"IMU: {first.t.size - rows.size} of {first.t.size} rows hold no number; they were left out")
     if rows.size < 3:
         raise InputError(f"has {rows.size} usable row(s) of IMU data, expected at least 3", where=first.table.name)
-    order, t = timed(first.t[rows], np.hstack([gyro_values[rows], accel[rows]]), story, "IMU", imu=True)
+    order, t = timed(first.t[rows], given, story, "IMU", imu=True)
     rows = rows[order]
     if not np.array_equal(rows, np.arange(first.t.size)):
         gyro_values, accel = gyro_values[rows], accel[rows]
@@ -400,6 +401,8 @@ def _rows(part: Columns, rows: NDArray[np.intp]) -> Columns:
 
 def _share_partly(part: Columns) -> float:
     """Share of rows that hold one of the sensors and not the other."""
+    if all(np.isfinite(part.values[role]).all() for role in ("gyro", "accel")):
+        return 0.0
     gyro, accel = (np.isfinite(part.values[role]).all(axis=1) for role in ("gyro", "accel"))
     return float(np.mean(gyro ^ accel)) if gyro.size else 0.0
 
