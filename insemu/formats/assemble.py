@@ -252,7 +252,9 @@ def timed(t: Array, values: Array, story: Story, what: str, *, imu: bool = False
         What its notes call the table.
     imu : bool
     """
-    same = np.concatenate([[False], (np.diff(values, axis=0) == 0.0).all(axis=1)])
+    same = np.concatenate([[False], values[1:, 0] == values[:-1, 0]])
+    alike = np.flatnonzero(same)  # few rows: only they are compared in all columns
+    same[alike] = (values[alike] == values[alike - 1]).all(axis=1)
     if not imu:
         rows, said = in_order(t, same)
         fresh = np.concatenate([[True], t[rows[1:]] > np.maximum.accumulate(t[rows])[:-1]])
