@@ -237,14 +237,16 @@ def clock_of(columns: Columns) -> str:
 MOST_LEFT_OUT = 0.01
 
 
-def timed(t: Array, values: Array, story: Story, what: str, *, imu: bool = False) -> tuple[NDArray[np.intp], Array]:
+def timed(
+    t: Array, values: Sequence[Array], story: Story, what: str, *, imu: bool = False
+) -> tuple[NDArray[np.intp], Array]:
     """Rows in the order of time, and their times: of an IMU those of its samples, of fixes the stamps, but where many rows share one.
 
     Parameters
     ----------
     t : (n,) array
         Stamps, s.
-    values : (n, k) array
+    values : sequence of (n, k) arrays
         By which repeated rows are known.
     story : Story
         Gets what was done.
@@ -252,9 +254,9 @@ def timed(t: Array, values: Array, story: Story, what: str, *, imu: bool = False
         What its notes call the table.
     imu : bool
     """
-    same = np.concatenate([[False], values[1:, 0] == values[:-1, 0]])
+    same = np.concatenate([[False], values[0][1:, 0] == values[0][:-1, 0]])
     alike = np.flatnonzero(same)  # few rows: only they are compared in all columns
-    same[alike] = (values[alike] == values[alike - 1]).all(axis=1)
+    same[alike] = np.all([(v[alike] == v[alike - 1]).all(axis=1) for v in values], axis=0)
     if not imu:
         rows, said = in_order(t, same)
         fresh = np.concatenate([[True], t[rows[1:]] > np.maximum.accumulate(t[rows])[:-1]])
@@ -371,10 +373,10 @@ def imu_of(parts: Sequence[Columns], story: Story) -> ImuRecord:
             story.notes.append("the accelerometer has stamps of its own; it was interpolated to the gyroscope's")
     gyro_values = first.values["gyro"]
     temperature = first.values.get("temperature")
-    rows, given = np.arange(first.t.size), np.hstack([gyro_values, accel])
-    if not np.isfinite(given).all():
-        rows = np.flatnonzero(np.isfinite(given).all(axis=1))
-        given = given[rows]
+    rows, given = np.arange(first.t.size), (gyro_values, accel)
+    if not all(np.isfinite(v).all() for v in given):
+        rows = np.flatnonzero(np.isfinite(np.hstack(given)).all(axis=1))
+        given = gyro_values[rows], accel[rows]
     story.missing += first.t.size - rows.size
     if first.t.size - rows.size:
         story.notes.append(f"IMU: {first.t.size - rows.size} of {first.t.size} rows hold no number; they were left out")
@@ -413,7 +415,7 @@ def _only(part: Columns, role: str, story: Story) -> Columns:
     good = _rows(part, np.flatnonzero(np.isfinite(part.values[role]).all(axis=1)))
     if not good.t.size:
         raise InputError("holds no row of numbers", where=part.table.name)
-    rows, t = timed(good.t, good.values[role], story, f"{part.table.name}, {role}", imu=True)
+    rows, t = timed(good.t, (good.values[role],), story, f"{part.table.name}, {role}", imu=True)
     return replace(_rows(good, rows), t=t)
 
 
