@@ -122,8 +122,10 @@ def test_two_drives_of_one_vehicle_are_alike_and_a_glide_is_told(
 @pytest.mark.slow(reason="a third drive of four minutes and its trees, 6 s")
 def test_a_learned_vehicle_drives_like_the_one_it_was_learned_from(recorded: Recording, learned: MovingVehicle) -> None:
     taught = compare_drives(windows_of(recorded), windows_of(driven(learned, recorded, SENSOR, 4)))
-    # trees still tell them by the force along below 1 Hz: two ramps of the speed are spread over the whole of a class of speeds
+    # trees still tell them by the force along below 1 Hz: path and fixes move there, too
     assert taught.alike > 0.8 * len(taught.bands)
+    # a glide has 1.0; seeds give 0.69 to 0.78, and sixty windows of each a standard deviation of 0.05
+    assert taught.powers.value < 0.9
 
 
 def test_standstills_tell_the_noise_of_the_sensor_under_an_engine(way: Recording) -> None:

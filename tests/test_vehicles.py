@@ -391,28 +391,32 @@ MATCHED = 5e-6
 
 
 def assert_matched(tmp_path, preset, builtin, runs):
-    """NEES of the nine navigation errors at four times, one of them the end of an outage, inside exact bounds."""
+    """NEES of the nine navigation errors at four times, one of them the end of an outage, and NIS of all fixes, inside exact bounds."""
     file = scenario_of(tmp_path, preset, builtin, runs)
     results = run_experiment(Experiment(load(file), file), workers=1)
     at = np.searchsorted(results.t, [60.0, 120.0, 180.0, 238.0])
-    means = results.nees[0][:, at].mean(axis=0) / 9.0
-    low, high = chi_square(9 * runs, MATCHED, 4)
+    assert results.total.count == runs  # means over all of them, of which results keep a few
+    means = results.total.mean("nees", 0)[at] / 9.0
+    low, high = chi_square(9 * runs, MATCHED, 5)
     assert ((low < means) & (means < high)).all(), means
+    nis, dof = (float(results.total.runs[key][0].sum()) for key in ("nis", "dof"))
+    low, high = chi_square(dof, MATCHED, 5)
+    assert low < nis / dof < high, (nis / dof, dof)
     return results
 
 
 @pytest.mark.parametrize(("preset", "builtin"), [("car", "urban_drive_1"), ("multirotor", "lemniscate")])
-@statistical(MATCHED, 4, power=chi_square_power(54, MATCHED, 4, 4.0))  # twice the errors
+@statistical(MATCHED, 5, power=chi_square_power(54, MATCHED, 5, 4.0))  # twice the errors
 def test_a_matched_filter_stays_matched(tmp_path, preset, builtin):
     assert_matched(tmp_path, preset, builtin, 6)
 
 
 @pytest.mark.slow(reason="sixty runs of each of ten vehicles")
 @pytest.mark.parametrize("preset", presets())
-@statistical(MATCHED, 4, power=chi_square_power(540, MATCHED, 4, 1.69))  # 1.3 times the errors
+@statistical(MATCHED, 5, power=chi_square_power(540, MATCHED, 5, 1.69))  # 1.3 times the errors
 def test_matched_filters_stay_matched_on_every_preset(tmp_path, preset):
     builtin = {"fixed_wing": "turbulent_uav", "multirotor": "lemniscate", "helicopter": "helicopter_mapping"}.get(
         preset, "urban_drive_1"
     )
     results = assert_matched(tmp_path, preset, builtin, 60)
-    print(f"\n{preset}: NEES/9 {results.nees[0].mean() / 9.0:.3f}")
+    print(f"\n{preset}: NEES/9 {results.total.mean('nees', 0).mean() / 9.0:.3f}, NIS {float(results.nis[0].mean()):.4f}")
