@@ -37,6 +37,7 @@ class Story:
     notes: list[str] = field(default_factory=list)
     repeated: int = 0
     missing: int = 0
+    units: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,9 @@ def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
             units.append(unit)
             found.append(("-" if pick.sign < 0 else "") + names[k])
         values[role] = block[:, 0] if len(picked) == 1 else block
+        story.units[role] = units[0]
+        if f"{role}_axes" in used.settings:
+            values[role] = values[role] @ axis_order(used.settings[f"{role}_axes"], where).T
         _say(role, found, units, story, table)
     kind = _kind(used.settings, integrals, where)
     rows = next(iter(values.values())).shape[0]
@@ -281,7 +285,30 @@ def axes_matrix(letters: str) -> Array:
         row, sign = _LETTERS[letter]
         matrix[row, column] = sign
     if np.linalg.det(matrix) < 0:
-        raise InputError(f"axes '{letters}' are left-handed; turn a column round instead (--map 'gyro=gx gy -gz')")
+        raise InputError(f"axes '{letters}' are left-handed; turn an axis round instead (--map 'gyro_axes=x y -z')")
+    return matrix
+
+
+def axis_order(text: str, where: str) -> Array:
+    """Matrix that puts columns into an order such as ``y x -z``: row k picks the column of axis k.
+
+    Parameters
+    ----------
+    text : str
+    where : str
+        Place, for the message.
+
+    Raises
+    ------
+    InputError
+        Not x, y and z once each, each with a sign or without.
+    """
+    words = text.split()
+    if sorted(w.removeprefix("-") for w in words) != ["x", "y", "z"]:
+        raise InputError(f"the order of axes is '{text[:40]}', expected x, y and z once each, such as y -x z", where=where)
+    matrix = np.zeros((3, 3))
+    for row, word in enumerate(words):
+        matrix[row, "xyz".index(word[-1])] = -1.0 if word.startswith("-") else 1.0
     return matrix
 
 
@@ -410,7 +437,8 @@ def positions(part: Columns, story: Story) -> Array | None:
             story.assumed.append(f"height 0 m: {part.table.name} has none")
             height = np.zeros(part.t.size)
         first, second = ("lon", "lat") if part.settings.get("latlon") == "swapped" else ("lat", "lon")
-        llh = np.column_stack([v[first], v[second], height])
+        east = -v[second] if part.settings.get("latlon") == "west" else v[second]
+        llh = np.column_stack([v[first], east, height])
         _check_latitude(llh, part)
         return llh
     if "ecef" in v:

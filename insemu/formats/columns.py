@@ -55,15 +55,18 @@ SETTINGS: Mapping[str, str] = {
     "pos_unit": "what latitude and longitude really are: deg or rad",
     "vel_unit": "what the velocities really are, such as knots",
     "velocity": "ned, enu or neu: what the three components of the velocity really are",
-    "latlon": "swapped, where the latitude stands in the column of the longitude",
+    "latlon": "swapped, where the latitude stands in the column of the longitude; west, where longitudes count west",
+    "height_unit": "what the heights really are, such as ft",
+    "gyro_axes": "which columns of the gyroscope are x, y and z, such as y x z or -x -y -z",
+    "accel_axes": "which columns of the accelerometer are x, y and z, such as x -y z",
 }
 #: Role -> the setting that says its unit against what the file states.
 UNIT_SETTING: Mapping[str, str] = {
     "time": "time_unit", "gyro": "gyro_unit", "accel": "accel_unit", "lat": "pos_unit", "lon": "pos_unit",
-    "vel_ned": "vel_unit", "vel_enu": "vel_unit", "vel_neu": "vel_unit", "speed": "vel_unit",
+    "height": "height_unit", "vel_ned": "vel_unit", "vel_enu": "vel_unit", "vel_neu": "vel_unit", "speed": "vel_unit",
 }  # fmt: skip
 _CHOICES = {
-    "latlon": ("swapped", "as stated"),
+    "latlon": ("swapped", "west", "as stated"),
     "velocity": ("ned", "enu", "neu"),
     "kind": ("sample", "mean", "increment"),
     "attitude": ("ned", "enu"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from insemu import earth
 from insemu.intake.card import Level, Line
-from insemu.intake.checks import NEAR, REFUSES, SQUARE, believed, mounting, near
+from insemu.intake.explained import FEWEST, Windows
+from insemu.intake.weighed import Weighing
+from insemu.intake.checks import NEAR, SQUARE, believed, mounting, near
 from insemu.intake.motion import (
     Push,
     Track,
@@ -357,33 +359,30 @@ def offset(turn: Turn | None) -> list[Line]:
     return [Line("clock", "odd", text, f'--map "gnss_shift={turn.shift:+.2f} s"')]
 
 
-def mirrored(turn: Turn | None, has_velocity: bool) -> list[Line]:
-    """A turn of the wrong sign: latitude and longitude swapped, or left-handed axes."""
-    if turn is None or not believed(turn) or turn.correlation > 0.0:
-        return []
-    level: Level = "wrong" if turn.ratio > REFUSES else "odd"
-    text = f"the fixes turn the other way than the gyroscope (correlation {turn.correlation:.2f}): "
-    if has_velocity:
-        text += "an axis of the gyroscope has the wrong sign, or the accelerometer the sign of gravity instead of specific force"
-        return [
-            Line(
-                "axes",
-                level,
-                f"{text} (name the columns of the file, the wrong one with a minus)",
-                '--map "gyro=gx gy -gz"',
-            )
-        ]
-    text += "latitude and longitude are swapped, or an axis of the gyroscope has the wrong sign"
-    return [Line("axes", level, text, '--map "latlon=swapped"')]
+def weighed(
+    imu: ImuRecord, gnss: GnssRecord, found: Agreement | None, units: Mapping[str, str]
+) -> tuple[list[Line], bool]:
+    """What all readings of the IMU say beside the fixes, and whether the declared one stands.
 
+    Parameters
+    ----------
+    imu : ImuRecord
+    gnss : GnssRecord
+    found : Agreement, optional
+        Of :func:`agreement`.
+    units : mapping of str to str
+        Declared units of ``gyro`` and ``accel``.
 
-def size_of_motion(push: Push | None, gnss: GnssRecord) -> list[Line]:
-    """Positions in radians that were read as degrees, where no velocity says so: the accelerometer does."""
-    if push is None or not believed(push) or gnss.vel_ned is not None:
-        return []
-    if near(push.gain, np.pi / 180, 0.5):
-        return [_radians(f"their motion is {1 / push.gain:.0f} times smaller than the accelerometer says")]
-    return []
+    Returns
+    -------
+    list of Line, bool
+        No line where the motion tells nothing.
+    """
+    track = best_track(gnss, found)
+    windows = Windows(imu, track)
+    if windows.count < FEWEST:
+        return [], True
+    return Weighing(windows, imu.kind, imu.dt, units).lines()
 
 
 def best_track(gnss: GnssRecord, found: Agreement | None) -> Track:

@@ -1,0 +1,288 @@
+"""All readings of an IMU weighed together: which of them explains the velocities of the fixes, and which are told apart at all.
+
+Readings that differ from the declared one in a unit, a sign, the order of the axes of one sensor, increments for rates, a delay, or the side of the
+globe are scored by :mod:`insemu.intake.explained`. The declared one is taken where none explains more. What is named is what explains the velocities
+alone: where two readings do it equally well, both are said and no command is given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import permutations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insemu.errors import InputError
+from insemu.intake.card import Level, Line
+from insemu.intake.explained import DECLARED, Explained, Reading, Windows
+from insemu.units import scaled_unit
+
+Array = NDArray[np.float64]
+
+#: Gain that a reading must have over another one to be taken in its place: nats, and nats a number (a tenth less is left).
+NATS, NATS_EACH = 20.0, 0.1
+#: Log-likelihood a number from which nothing is explained, and share of what unrelated velocities leave, in the same measure.
+WRONG_EACH, WRONG_SHARE = 0.9, 0.5
+#: Nats a number by which unrelated velocities must be worse: less motion tells nothing.
+MOVES = 0.15
+#: Share by which a measured factor may differ from a unit's; from which a factor without a unit is said.
+KNOWN, SCALE = 0.04, 0.05
+#: Windows by which readings are screened, and how many of them are scored by all.
+SCREENED, KEPT = 10, 4
+#: Delays that are tried, s.
+LAGS = (-0.5, -0.3, -0.2, 0.2, 0.3, 0.5)
+#: Units that gyroscopes and accelerometers are written in.
+GYRO_UNITS = ("rad/s", "deg/s", "mrad/s", "mdps", "rpm", "rev/s", "deg/h", "rad/h")
+ACCEL_UNITS = ("m/s^2", "g", "mg", "ug", "mm/s^2", "cm/s^2", "ft/s^2")
+
+
+def orders() -> Iterator[tuple[str, Array]]:
+    """All orders and signs of three axes, as text and as the matrix that columns are multiplied with."""
+    for places, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        matrix = np.zeros((3, 3))
+        for row, (place, sign) in enumerate(zip(places, signs, strict=True)):
+            matrix[row, place] = sign
+        yield " ".join(("-" if s < 0 else "") + "xyz"[p] for p, s in zip(places, signs, strict=True)), matrix
+
+
+_ORDERS = dict(orders())
+_PLAIN, _OPPOSITE = "x y z", "-x -y -z"
+_Order = tuple[dict[str, str], str, Array, Array]
+
+
+@dataclass(frozen=True)
+class Named:
+    """A reading, with the settings that make the file so and what it means."""
+
+    settings: Mapping[str, str]
+    means: str
+    found: Explained
+
+    @property
+    def command(self) -> str:
+        """What is added to the command."""
+        return '--map "' + ", ".join(f"{k}={v}" for k, v in self.settings.items()) + '"' if self.settings else ""
+
+
+def better(a: Explained, b: Explained) -> bool:
+    """Whether a reading explains more than another one, beyond chance and models."""
+    gain = a.nats - b.nats
+    return gain > NATS and gain / max(a.count, 1) > NATS_EACH
+
+
+def unit_of(factor: float, declared: str, units: Iterable[str]) -> str:
+    """The unit whose size is the declared one's times a factor; "" where there is none."""
+    try:
+        size = scaled_unit(declared).factor * factor
+    except InputError:
+        return ""
+    known = [(abs(np.log(scaled_unit(u).factor / size)), u) for u in units]
+    off, unit = min(known)
+    return unit if off < np.log1p(KNOWN) else ""
+
+
+def force_factor(windows: Windows) -> float:
+    """What the specific force should be multiplied with: the change of the fixes' velocity less gravity by its size, whatever the attitude."""
+    wanted, have = windows.forces()
+    good = have > 0.0
+    return float(np.median(wanted[good] / have[good])) if good.any() else np.nan
+
+
+class Weighing:
+    """The readings of one recording.
+
+    Parameters
+    ----------
+    windows : Windows
+    kind : str
+        Of the IMU's rows.
+    dt : float
+        Its interval, s.
+    units : mapping of str to str
+        Declared units of ``gyro`` and ``accel``.
+    """
+
+    def __init__(self, windows: Windows, kind: str, dt: float, units: Mapping[str, str]) -> None:
+        self.windows, self.kind, self.dt = windows, kind, dt
+        self._few = windows.fewer(SCREENED)
+        self._over = " s" if kind == "increment" else ""
+        self.units = {"gyro": units.get("gyro") or "rad/s", "accel": units.get("accel") or "m/s^2"}
+        self.declared = windows.explain()
+        self.unrelated = windows.explain(other=max(1, windows.count // 2))
+        self._cache: dict[bytes, Explained] = {}
+
+    def score(self, gyro: Array, accel: Array, **more: float) -> Explained:
+        """Score of a reading, kept."""
+        key = gyro.tobytes() + accel.tobytes() + repr(sorted(more.items())).encode()
+        if key not in self._cache:
+            self._cache[key] = self.windows.explain(Reading(gyro, accel, **more))
+        return self._cache[key]
+
+    def explains(self, found: Explained) -> bool:
+        """Whether what a reading leaves is the noise of the fixes rather than what unrelated velocities leave."""
+        each, floor = -found.nats / found.count, 0.5 * np.log(2.0)
+        worst = -self.unrelated.nats / self.unrelated.count
+        return bool(each < WRONG_EACH or each - floor < WRONG_SHARE * (worst - floor))
+
+    def moves(self, best: Explained) -> bool:
+        """Whether unrelated velocities would be seen."""
+        return bool(best.nats / best.count - self.unrelated.nats / self.unrelated.count > MOVES)
+
+    # ------------------------------------------------------------------------------------------------------------- candidates
+
+    def best(self) -> list[Named]:
+        """Readings that explain more than the declared one, the best first and those that are as good; none where there is none."""
+        force = force_factor(self.windows)
+        scaled = [self._units(force)] if np.isfinite(force) else []
+        found = [n for group in scaled for n in group]
+        if not any(self.fine(n.found) for n in found):
+            found += self._orders(found)
+        found += self._clocks()
+        good = sorted((n for n in found if better(n.found, self.declared)), key=lambda n: -n.found.nats)
+        return [n for n in good if not better(good[0].found, n.found)] if good else []
+
+    def _units(self, force: float) -> list[Named]:
+        """Readings in other units, and increments for rates."""
+        out = []
+        setting, size = self._accel_unit(force)
+        for unit in GYRO_UNITS:
+            factor = scaled_unit(unit).factor / self._size("gyro")
+            settings = {"gyro_unit": unit + self._over} if abs(factor - 1.0) > 1e-9 else {}
+            settings |= {"accel_unit": setting + self._over} if setting else {}
+            if settings:
+                found = self.score(factor * np.eye(3), size * np.eye(3))
+                out.append(Named(settings, _means_units(settings), found))
+        time = {"increment": self.dt}.get(self.kind, 1.0 / self.dt)
+        word = "sample" if self.kind == "increment" else "increment"
+        said = "the rows are rates, not increments" if word == "sample" else f"the rows are increments of {self.dt:.4g} s, not rates"
+        out.append(Named({"kind": word}, said, self.score(time * np.eye(3), time * np.eye(3))))
+        return out
+
+    def _size(self, role: str) -> float:
+        return scaled_unit(self.units[role]).factor
+
+    def _accel_unit(self, force: float) -> tuple[str, float]:
+        """The unit of the accelerometer that the size of the force asks for, and what it multiplies it with; "" for the declared one."""
+        unit = unit_of(force, self.units["accel"], ACCEL_UNITS)
+        if unit and abs(np.log(force)) > KNOWN:
+            return unit, scaled_unit(unit).factor / self._size("accel")
+        return "", 1.0
+
+    def _orders(self, scaled: list[Named]) -> list[Named]:
+        """Readings with axes of one sensor in another order or turned round, in the best units."""
+        top = max(scaled, key=lambda n: n.found.nats, default=None)
+        start = top if top is not None and better(top.found, self.declared) else None
+        gyro, accel = (start.found.reading.gyro, start.found.reading.accel) if start else (np.eye(3), np.eye(3))
+        known = dict(start.settings) if start else {}
+        out = []
+        for text, matrix in _ORDERS.items():
+            alone = [("gyro", matrix, np.eye(3)), ("accel", np.eye(3), matrix)] if text != _PLAIN else []
+            for sensor, g, a in alone:
+                out.append((known | {f"{sensor}_axes": text}, _means_order(sensor, text), g, a))
+            if np.linalg.det(matrix) < 0.0:  # both: a common rotation makes the gyroscope's order plain or opposite
+                means = f"{_means_order('gyro', _OPPOSITE)}, and {_means_order('accel', text)}"
+                out.append((known | {"gyro_axes": _OPPOSITE, "accel_axes": text}, means, -np.eye(3), matrix))
+        kept = _simplest(out)
+        few = [self._few.explain(Reading(g @ gyro, a @ accel)).nats for _, _, g, a in kept]
+        first = [kept[k] for k in np.argsort(few)[::-1][:KEPT]]
+        return [Named(settings, means, self.score(g @ gyro, a @ accel)) for settings, means, g, a in first]
+
+    def _clocks(self) -> list[Named]:
+        """Readings with one sensor late, and with the fixes on the other side of Greenwich."""
+        eye = np.eye(3)
+        west = Named({"latlon": "west"}, "longitudes count west", self.score(eye, eye, east=-1.0))
+        lags = [self.score(eye, eye, lag=lag) for lag in LAGS]
+        best = max(lags, key=lambda e: e.nats)
+        late = "late" if best.reading.lag < 0 else "early"
+        said = f"the accelerometer comes about {abs(best.reading.lag):.1f} s {late} against the gyroscope"
+        return [west, Named({}, said, best)]
+
+    # ------------------------------------------------------------------------------------------------------------------- lines
+
+    def lines(self) -> tuple[list[Line], bool]:
+        """What is said, and whether the declared reading stands."""
+        best = self.best() if not self.fine(self.declared) else []
+        top = best[0].found if best else self.declared
+        if not self.moves(top):
+            return [], True
+        w = self.windows
+        much = f"{w.count} windows of {w.length:.0f} s"
+        left = f"{self.declared.rms:.2g} m/s of the velocities of the fixes are left ({much}; {self.unrelated.rms:.2g} by unrelated ones)"
+        if best and self.explains(top):
+            return [self._rival(best, left)], False
+        if not self.explains(self.declared):
+            text = f"{left}: gyroscope, accelerometer and fixes contradict each other, and no unit, order or sign that was tried makes them agree"
+            return [Line("motion", "wrong", text)], False
+        return [Line("motion", "ok", f"gyroscope and specific force explain the velocities of the fixes: {left}"), *self._power(), *self._scales()], True
+
+    def fine(self, found: Explained) -> bool:
+        """Whether a reading leaves no more than the noise of the fixes."""
+        return bool(-found.nats / found.count < 0.5 * WRONG_EACH)
+
+    def _rival(self, best: list[Named], left: str) -> Line:
+        means = [n.means for n in best]
+        what = means[0] if len(best) == 1 else "one of these, which nothing here tells apart: " + "; or ".join(means)
+        level: Level = "wrong" if self.explains(best[0].found) and better(best[0].found, self.declared) else "odd"
+        text = f"{left}, {best[0].found.rms:.2g} m/s if {what}"
+        return Line("motion", level, text, best[0].command if len(best) == 1 else "")
+
+    def _power(self) -> list[Line]:
+        """What would have been seen, and what would not."""
+        eye = np.eye(3)
+        tried = {
+            "gyroscope opposite": self.score(-eye, eye),
+            "gyroscope x and y swapped": self.score(_ORDERS["y x z"], eye),
+            "gyroscope x and z swapped": self.score(_ORDERS["z y x"], eye),
+            "accelerometer opposite": self.score(eye, -eye),
+            "accelerometer x opposite": self.score(eye, _ORDERS["-x y z"]),
+            "accelerometer y opposite": self.score(eye, _ORDERS["x -y z"]),
+            "sensors 0.3 s apart": self.score(eye, eye, lag=-0.3),
+        }
+        seen = [name for name, found in tried.items() if better(self.declared, found)]
+        out = [Line("order", "ok", f"would have been seen: {', '.join(seen)}")] if seen else []
+        hidden = [name for name in tried if name not in seen]
+        if hidden:
+            out.append(Line("order", "assumed", f"not checkable in this motion: {', '.join(hidden)}"))
+        return out
+
+    def _scales(self) -> list[Line]:
+        """A factor of the gyroscope that is no unit, from the two beside it."""
+        eye = np.eye(3)
+        low, high = self.score(0.9 * eye, eye), self.score(1.1 * eye, eye)
+        bend = low.nats + high.nats - 2.0 * self.declared.nats
+        if bend >= -NATS:
+            return []
+        factor = 1.0 + 0.05 * (low.nats - high.nats) / bend
+        if abs(factor - 1.0) < SCALE or max(low.nats, high.nats) - self.declared.nats < NATS:
+            return []
+        return [Line("angular rate", "odd", f"the rates explain the velocities best when they are multiplied by {factor:.2f}: a scale factor?")]
+
+
+def _simplest(orders: list[_Order]) -> list[_Order]:
+    """Of orders that differ by a common rotation alone, the one with the fewest settings and the fewest changes."""
+    out: dict[bytes, _Order] = {}
+    for order in orders:
+        _, _, gyro, accel = order
+        key = np.append(np.round(gyro.T @ accel), np.sign(np.linalg.det(gyro))).tobytes()
+        if key not in out or _effort(order) < _effort(out[key]):
+            out[key] = order
+    return [o for o in out.values() if not (np.linalg.det(o[2]) > 0.0 and np.allclose(o[2].T @ o[3], np.eye(3)))]
+
+
+def _effort(order: _Order) -> tuple[int, int]:
+    text = " ".join(v for k, v in order[0].items() if k.endswith("_axes"))
+    return len(order[0]), sum(a != b for a, b in zip(text.split(), _PLAIN.split() * 2, strict=False)) + text.count("-")
+
+
+def _means_units(settings: Mapping[str, str]) -> str:
+    names = {"gyro_unit": "the rates", "accel_unit": "the forces"}
+    return " and ".join(f"{names[k]} are in {v}" for k, v in settings.items())
+
+
+def _means_order(sensor: str, text: str) -> str:
+    name = {"gyro": "gyroscope", "accel": "accelerometer"}[sensor]
+    if text == _OPPOSITE:
+        return f"the {name} has the opposite sign on all axes"
+    return f"x, y and z of the {name} are its columns {text}"
