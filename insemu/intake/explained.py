@@ -117,6 +117,7 @@ class Windows:
         """Some of the windows, spread over the record."""
         out = copy(self)
         out.__dict__.pop("_edges", None)
+        out._piece = max(2.0 * PIECE, self._imu.dt)
         out._starts = self._starts[np.unique(np.linspace(0, self.count - 1, min(most, self.count)).astype(int))]
         return out
 

@@ -382,7 +382,7 @@ def weighed(
     windows = Windows(imu, track)
     if windows.count < FEWEST:
         return [], True
-    return Weighing(windows, imu.kind, imu.dt, units).lines()
+    return Weighing(windows, imu.kind, imu.dt, units, track.span == 0.0).lines()
 
 
 def best_track(gnss: GnssRecord, found: Agreement | None) -> Track:

@@ -15,7 +15,7 @@ from insemu.intake.card import Card, Line
 #: Most settings that are put together, one after the other.
 MOST = 5
 #: Topics in the order in which they are believed: what the fixes are comes before what they say of the IMU.
-ORDER = ("rate", "reference", "fixes", "velocity", "heights", "clock", "specific force", "motion", "angular rate", "axes")
+ORDER = ("rate", "reference", "fixes", "velocity", "heights", "clock", "specific force", "motion", "angular rate", "axes", "columns", "order of rows")
 
 
 def settings_of(line: Line) -> dict[str, str]:
@@ -60,7 +60,7 @@ def tried(data: Opened, examined: Callable[[Opened], Card]) -> Card:
         else:
             for line in asking:
                 after = _card(again.read, settings_of(line), examined)
-                if after is not None and not after.of("wrong") and not any(x.topic == line.topic and x.level == "odd" and x.mend for x in after.lines):
+                if after is not None and not any(x.topic in ORDER and x.level in ("odd", "wrong") for x in after.lines):
                     given[id(line)] = again.options(settings_of(line))
     return replace(card, lines=tuple(replace(x, mend=given.get(id(x), "")) if settings_of(x) else x for x in card.lines))
 

@@ -29,6 +29,8 @@ WRONG_EACH, WRONG_SHARE = 0.9, 0.5
 MOVES = 0.15
 #: Share by which a measured factor may differ from a unit's; from which a factor without a unit is said.
 KNOWN, SCALE = 0.04, 0.05
+#: How finely the factor is looked for.
+SCALE_STEP = 1.02
 #: Windows by which readings are screened, and how many of them are scored by all.
 SCREENED, KEPT = 10, 4
 #: Delays that are tried, s.
@@ -72,15 +74,13 @@ def better(a: Explained, b: Explained) -> bool:
     return gain > NATS and gain / max(a.count, 1) > NATS_EACH
 
 
-def unit_of(factor: float, declared: str, units: Iterable[str]) -> str:
-    """The unit whose size is the declared one's times a factor; "" where there is none."""
+def units_of(factor: float, declared: str, units: Iterable[str]) -> list[str]:
+    """The units whose size is the declared one's times a factor; none where the declared one is no unit."""
     try:
         size = scaled_unit(declared).factor * factor
     except InputError:
-        return ""
-    known = [(abs(np.log(scaled_unit(u).factor / size)), u) for u in units]
-    off, unit = min(known)
-    return unit if off < np.log1p(KNOWN) else ""
+        return []
+    return [u for u in units if abs(np.log(scaled_unit(u).factor / size)) < np.log1p(KNOWN)]
 
 
 def force_factor(windows: Windows) -> float:
@@ -102,9 +102,12 @@ class Weighing:
         Its interval, s.
     units : mapping of str to str
         Declared units of ``gyro`` and ``accel``.
+    velocities : bool
+        Whether velocities of the receiver agree with the positions, which then are not mirrored.
     """
 
-    def __init__(self, windows: Windows, kind: str, dt: float, units: Mapping[str, str]) -> None:
+    def __init__(self, windows: Windows, kind: str, dt: float, units: Mapping[str, str], velocities: bool) -> None:
+        self.velocities = velocities
         self.windows, self.kind, self.dt = windows, kind, dt
         self._few = windows.fewer(SCREENED)
         self._over = " s" if kind == "increment" else ""
@@ -134,46 +137,47 @@ class Weighing:
 
     def best(self) -> list[Named]:
         """Readings that explain more than the declared one, the best first and those that are as good; none where there is none."""
-        force = force_factor(self.windows)
-        scaled = [self._units(force)] if np.isfinite(force) else []
-        found = [n for group in scaled for n in group]
+        found = self._units()
         if not any(self.fine(n.found) for n in found):
-            found += self._orders(found)
-        found += self._clocks()
+            top = max(found, key=lambda n: n.found.nats)
+            found += self._orders(None)
+            if better(top.found, max(self.declared, *(n.found for n in found if n is not top), key=lambda e: e.nats)):
+                found += self._orders(top)
+        if not any(self.fine(n.found) for n in found):
+            found += self._clocks() + self._scales()
         good = sorted((n for n in found if better(n.found, self.declared)), key=lambda n: -n.found.nats)
         return [n for n in good if not better(good[0].found, n.found)] if good else []
 
-    def _units(self, force: float) -> list[Named]:
+    def _units(self) -> list[Named]:
         """Readings in other units, and increments for rates."""
         out = []
-        setting, size = self._accel_unit(force)
-        for unit in GYRO_UNITS:
-            factor = scaled_unit(unit).factor / self._size("gyro")
-            settings = {"gyro_unit": unit + self._over} if abs(factor - 1.0) > 1e-9 else {}
-            settings |= {"accel_unit": setting + self._over} if setting else {}
-            if settings:
-                found = self.score(factor * np.eye(3), size * np.eye(3))
-                out.append(Named(settings, _means_units(settings), found))
+        for setting, size in self._forces():
+            for unit in GYRO_UNITS:
+                factor = scaled_unit(unit).factor / self._size("gyro")
+                settings = {"gyro_unit": unit + self._over} if abs(factor - 1.0) > 1e-9 else {}
+                settings |= {"accel_unit": setting + self._over} if setting else {}
+                if settings or size != 1.0:
+                    found = self.score(factor * np.eye(3), size * np.eye(3))
+                    out.append(Named(settings if setting or size == 1.0 else {}, _means_units(settings, size), found))
         time = {"increment": self.dt}.get(self.kind, 1.0 / self.dt)
         word = "sample" if self.kind == "increment" else "increment"
         said = "the rows are rates, not increments" if word == "sample" else f"the rows are increments of {self.dt:.4g} s, not rates"
         out.append(Named({"kind": word}, said, self.score(time * np.eye(3), time * np.eye(3))))
         return out
 
+    def _forces(self) -> list[tuple[str, float]]:
+        """Units of the accelerometer that the size of the force allows, and what they multiply it with; "" for none that is known."""
+        force = force_factor(self.windows)
+        if not np.isfinite(force) or abs(np.log(force)) < KNOWN:
+            return [("", 1.0)]
+        units = units_of(force, self.units["accel"], ACCEL_UNITS)
+        return [(u, scaled_unit(u).factor / self._size("accel")) for u in units] or [("", force)]
+
     def _size(self, role: str) -> float:
         return scaled_unit(self.units[role]).factor
 
-    def _accel_unit(self, force: float) -> tuple[str, float]:
-        """The unit of the accelerometer that the size of the force asks for, and what it multiplies it with; "" for the declared one."""
-        unit = unit_of(force, self.units["accel"], ACCEL_UNITS)
-        if unit and abs(np.log(force)) > KNOWN:
-            return unit, scaled_unit(unit).factor / self._size("accel")
-        return "", 1.0
-
-    def _orders(self, scaled: list[Named]) -> list[Named]:
-        """Readings with axes of one sensor in another order or turned round, in the best units."""
-        top = max(scaled, key=lambda n: n.found.nats, default=None)
-        start = top if top is not None and better(top.found, self.declared) else None
+    def _orders(self, start: Named | None) -> list[Named]:
+        """Readings with axes of one sensor in another order or turned round, in the declared units or in those of another reading."""
         gyro, accel = (start.found.reading.gyro, start.found.reading.accel) if start else (np.eye(3), np.eye(3))
         known = dict(start.settings) if start else {}
         out = []
@@ -185,19 +189,31 @@ class Weighing:
                 means = f"{_means_order('gyro', _OPPOSITE)}, and {_means_order('accel', text)}"
                 out.append((known | {"gyro_axes": _OPPOSITE, "accel_axes": text}, means, -np.eye(3), matrix))
         kept = _simplest(out)
-        few = [self._few.explain(Reading(g @ gyro, a @ accel)).nats for _, _, g, a in kept]
+        few = [self._few.explain(Reading(g @ gyro, a @ accel), 1).nats for _, _, g, a in kept]
         first = [kept[k] for k in np.argsort(few)[::-1][:KEPT]]
         return [Named(settings, means, self.score(g @ gyro, a @ accel)) for settings, means, g, a in first]
 
     def _clocks(self) -> list[Named]:
         """Readings with one sensor late, and with the fixes on the other side of Greenwich."""
         eye = np.eye(3)
-        west = Named({"latlon": "west"}, "longitudes count west", self.score(eye, eye, east=-1.0))
-        lags = [self.score(eye, eye, lag=lag) for lag in LAGS]
-        best = max(lags, key=lambda e: e.nats)
+        out = [] if self.velocities else [Named({"latlon": "west"}, "longitudes count west", self.score(eye, eye, east=-1.0))]
+        best = max((self.score(eye, eye, lag=lag) for lag in LAGS), key=lambda e: e.nats)
         late = "late" if best.reading.lag < 0 else "early"
         said = f"the accelerometer comes about {abs(best.reading.lag):.1f} s {late} against the gyroscope"
-        return [west, Named({}, said, best)]
+        return [*out, Named({}, said, best)]
+
+    def _scales(self) -> list[Named]:
+        """The factor of the rates that explains most, where it is no unit."""
+        factor, step = 1.0, 2.0
+        while step > SCALE_STEP:
+            near = [factor / step, factor, factor * step]
+            found = [self.score(f * np.eye(3), np.eye(3)) for f in near]
+            k = int(np.argmax([e.nats for e in found]))
+            factor, step = near[k], np.sqrt(step) if k == 1 else step
+            if not 0.1 < factor < 10.0:
+                return []
+        said = f"the rates are multiplied by {factor:.3g}, a scale factor or another range of the sensor"
+        return [Named({}, said, self.score(factor * np.eye(3), np.eye(3)))] if abs(np.log(factor)) > SCALE else []
 
     # ------------------------------------------------------------------------------------------------------------------- lines
 
@@ -215,7 +231,7 @@ class Weighing:
         if not self.explains(self.declared):
             text = f"{left}: gyroscope, accelerometer and fixes contradict each other, and no unit, order or sign that was tried makes them agree"
             return [Line("motion", "wrong", text)], False
-        return [Line("motion", "ok", f"gyroscope and specific force explain the velocities of the fixes: {left}"), *self._power(), *self._scales()], True
+        return [Line("motion", "ok", f"gyroscope and specific force explain the velocities of the fixes: {left}"), *self._power()], True
 
     def fine(self, found: Explained) -> bool:
         """Whether a reading leaves no more than the noise of the fixes."""
@@ -247,25 +263,13 @@ class Weighing:
             out.append(Line("order", "assumed", f"not checkable in this motion: {', '.join(hidden)}"))
         return out
 
-    def _scales(self) -> list[Line]:
-        """A factor of the gyroscope that is no unit, from the two beside it."""
-        eye = np.eye(3)
-        low, high = self.score(0.9 * eye, eye), self.score(1.1 * eye, eye)
-        bend = low.nats + high.nats - 2.0 * self.declared.nats
-        if bend >= -NATS:
-            return []
-        factor = 1.0 + 0.05 * (low.nats - high.nats) / bend
-        if abs(factor - 1.0) < SCALE or max(low.nats, high.nats) - self.declared.nats < NATS:
-            return []
-        return [Line("angular rate", "odd", f"the rates explain the velocities best when they are multiplied by {factor:.2f}: a scale factor?")]
-
 
 def _simplest(orders: list[_Order]) -> list[_Order]:
     """Of orders that differ by a common rotation alone, the one with the fewest settings and the fewest changes."""
     out: dict[bytes, _Order] = {}
     for order in orders:
         _, _, gyro, accel = order
-        key = np.append(np.round(gyro.T @ accel), np.sign(np.linalg.det(gyro))).tobytes()
+        key = np.append(np.round(gyro.T @ accel) + 0.0, np.sign(np.linalg.det(gyro))).tobytes()
         if key not in out or _effort(order) < _effort(out[key]):
             out[key] = order
     return [o for o in out.values() if not (np.linalg.det(o[2]) > 0.0 and np.allclose(o[2].T @ o[3], np.eye(3)))]
@@ -276,9 +280,12 @@ def _effort(order: _Order) -> tuple[int, int]:
     return len(order[0]), sum(a != b for a, b in zip(text.split(), _PLAIN.split() * 2, strict=False)) + text.count("-")
 
 
-def _means_units(settings: Mapping[str, str]) -> str:
+def _means_units(settings: Mapping[str, str], size: float) -> str:
     names = {"gyro_unit": "the rates", "accel_unit": "the forces"}
-    return " and ".join(f"{names[k]} are in {v}" for k, v in settings.items())
+    parts = [f"{names[k]} are in {v}" for k, v in settings.items()]
+    if size != 1.0 and "accel_unit" not in settings:
+        parts.append(f"the forces are multiplied by {size:.4g}, which is no unit")
+    return " and ".join(parts)
 
 
 def _means_order(sensor: str, text: str) -> str:
