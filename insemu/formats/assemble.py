@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ from insemu.units import parse, parse_unit, scaled_unit
 
 Array = NDArray[np.float64]
 
+#: Latitudes and longitudes whose digits are degrees and minutes.
+DIGITS = ("ddmm", "dd.mm")
 #: Unit that a column without one is taken to have where it is not SI.
 _USUAL = {"lat": "deg", "lon": "deg", "course": "deg", "rpy": "deg", "roll": "deg", "pitch": "deg", "heading": "deg"}
 #: Standard deviation (horizontal, m) that a quality of fix stands for where the receiver states none.
@@ -100,6 +102,9 @@ def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
         return None
     values: dict[str, Array] = {}
     integrals = []
+    places = _place_unit(used, table, names)
+    if places and "pos_unit" not in used.settings:
+        story.assumed.append(f"latitude and longitude in {places}: as degrees they would be beyond 90 and 180")
     for role in roles:
         units, found = [], []
         picked = resolve(role, used.picks[role], names, where)
@@ -107,6 +112,14 @@ def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
         for column, (k, pick) in zip(block.T, picked, strict=True):
             unit = pick.unit if pick.unit is not None else table.units.get(names[k], "")
             unit = used.settings.get(UNIT_SETTING.get(role, ""), unit)
+            if role in ("lat", "lon"):
+                unit = places or unit
+                if unit in DIGITS:
+                    column[:], unit = _digits(table.columns[names[k]], unit), "deg"
+                    np.multiply(column, np.pi / 180.0 * pick.sign, out=column)
+                    units.append(unit)
+                    found.append(("-" if pick.sign < 0 else "") + names[k])
+                    continue
             factor, integral = _factor(role, unit, f"{where}: {names[k]}")
             integrals.append((role, integral))
             np.multiply(table.columns[names[k]], factor * pick.sign, out=column)
@@ -128,6 +141,32 @@ def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
     t, said = continuous(t, unit_s)
     story.notes += [f"{where}: {text}" for text in said]
     return Columns(table, start, t, values, kind, used.settings)
+
+
+def _place_unit(used: ColumnMap, table: Table, names: list[str]) -> str:
+    """Unit of latitude and longitude: as said; where nobody says, that of numbers which are none in degrees; "" for the one that is stated."""
+    if "pos_unit" in used.settings:
+        return used.settings["pos_unit"]
+    if not {"lat", "lon"} <= set(used.picks):
+        return ""
+    found = [resolve(r, used.picks[r], names, table.name)[0] for r in ("lat", "lon")]
+    if any(pick.unit is not None or table.units.get(names[k]) for k, pick in found):
+        return ""
+    lat, lon = (np.abs(np.asarray(table.columns[names[k]], dtype=np.float64)) for k, _ in found)
+    largest = float(np.nanmax(lat, initial=0.0))
+    if largest <= 90.0 or not np.isfinite(largest):
+        return ""
+    if largest > 1e6 and float(np.nanmax(lon, initial=0.0)) <= 1.8e9:
+        return "1e-7 deg"
+    minutes = all(bool((np.mod(v[np.isfinite(v)], 100.0) < 60.0).all()) for v in (lat, lon))
+    return "ddmm" if largest <= 9000.0 and float(np.nanmax(lon, initial=0.0)) <= 18000.0 and minutes else ""
+
+
+def _digits(values: NDArray[Any], unit: str) -> Array:
+    """Degrees of numbers whose digits are degrees and minutes (NMEA's ``ddmm.mmmm``), or whose decimals are (``dd.mmmmmm``)."""
+    v = np.abs(np.asarray(values, dtype=np.float64)) / (100.0 if unit == "ddmm" else 1.0)
+    whole = np.trunc(v + 1e-12)
+    return np.asarray(np.copysign(whole + (v - whole) / 0.6, values))
 
 
 def _given(table: Table, user: ColumnMap) -> ColumnMap:
@@ -156,6 +195,8 @@ def _factor(role: str, unit: str, where: str) -> tuple[float, bool]:
         found = scaled_unit(unit)
     except InputError as error:
         raise InputError(error.message, where=where) from None
+    if si == "m/s" and found.dimension == parse_unit("m").dimension:  # speeds called after their length
+        return found.factor, False
     if found.dimension == parse_unit(si).dimension:
         return found.factor, False
     if role in ("gyro", "accel") and found.dimension == parse_unit({"gyro": "rad", "accel": "m/s"}[role]).dimension:
@@ -467,13 +508,11 @@ def _check_latitude(llh: Array, part: Columns) -> None:
     if largest <= np.pi / 2 + 1e-12:
         return
     degrees = np.rad2deg(largest)
-    if degrees > 1e4:
-        hint = 'is it in 1e-7 deg? --map "pos_unit=1e-7 deg"'
-    elif degrees > 360.0:  # no longitude in its place is as large
-        hint = 'the unit is degrees, not rad: --map "pos_unit=deg"'
-    else:
-        hint = 'latitude and longitude are swapped: --map "latlon=swapped"'
-    raise InputError(f"a latitude of {degrees:.6g} deg is beyond 90; {hint}", where=part.table.name)
+    raise InputError(
+        f"a latitude of {degrees:.6g} deg is beyond 90: another unit (the setting pos_unit: deg, rad, 1e-7 deg, ddmm), or latitude and longitude "
+        "swapped (latlon=swapped)",
+        where=part.table.name,
+    )
 
 
 def _velocity(part: Columns) -> Array | None:
@@ -497,8 +536,8 @@ def _sigmas(part: Columns, story: Story) -> tuple[Array | None, Array | None]:
         horizontal = np.array([QUALITY_SIGMA.get(int(q), np.nan) if np.isfinite(q) else np.nan for q in v["quality"]])
         position = np.column_stack([horizontal, horizontal, 1.5 * horizontal])
         story.assumed.append("standard deviations from the quality of each fix: single 5 m, float 0.5 m, fixed 0.02 m")
-    if position is not None:
-        position = np.abs(position)
+    if position is not None:  # 0 is how files say that nothing is known
+        position = np.where(position == 0.0, np.nan, np.abs(position))
     velocity = v.get("vel_std_ned", v["vel_std_enu"][:, [1, 0, 2]] if "vel_std_enu" in v else None)
     if velocity is None and "vel_std_h" in v:
         velocity = np.tile(v["vel_std_h"][:, None], (1, 3))

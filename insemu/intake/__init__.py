@@ -66,7 +66,8 @@ def _examined(data: Opened, kind: str) -> Card:
     if data.imu is not None:
         lines += _imu_lines(data, data.imu, found, unstated)
     if data.gnss is not None:
-        lines += fixed.fixes(data.gnss, found, "vel" in unstated)
+        opposite = fixed.upright(data.imu, data.gnss, found) if data.imu is not None else 0.0
+        lines += fixed.fixes(data.gnss, found, "vel" in unstated, opposite)
     if data.reference is not None:
         t = data.reference.t
         lines.append(
@@ -92,23 +93,23 @@ def _aid_line(aid: AidRecord) -> Line:
 def _imu_lines(data: Opened, imu: ImuRecord, found: fixed.Agreement | None, unstated: set[str]) -> list[Line]:
     counts = {"repeated": data.repeated, "missing": data.missing}
     lines = checks.timing(imu.t, counts) + checks.repeats(imu) + checks.columns(imu)
-    push = None
-    gnss = data.gnss
+    push, gnss = None, data.gnss
+    if gnss is None:
+        lines += checks.moved(imu.t, imu.rates())
     motion: list[Line] = []
     if gnss is not None:
         apart = fixed.together(imu, gnss, "fixes")
         lines += apart
         if not fixed.refused(apart):
-            motion, stands = fixed.weighed(imu, gnss, found, data.units)
-            lines += motion
-            if not stands:  # what is read wrongly says nothing about clocks and axes
-                return lines
             turn, push = fixed.against_fixes(imu, gnss, found)
-            lines += fixed.offset(turn)
-    lines += checks.force(imu, bool(motion))
+            motion, stands = fixed.weighed(imu, gnss, found, data.units, turn)
+            lines += motion or fixed.offset(turn)
+            if not stands:  # what is read wrongly says nothing about axes
+                return lines + [x for x in checks.force(imu, False) if x.level == "wrong" and "--map" not in x.mend]
+    lines += checks.force(imu, any(x.topic == "motion" and x.level == "ok" for x in motion))
     if data.reference is not None:
         lines += fixed.together(imu, data.reference, "reference")
-    if not motion:
+    if not any(x.level == "ok" for x in motion):
         lines += checks.rates_alone(imu, "gyro" in unstated)
     lines += checks.axes(imu, push)
     return lines

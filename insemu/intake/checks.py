@@ -20,7 +20,7 @@ from insemu.sample_times import beat, samples
 
 Array = NDArray[np.float64]
 
-G = 9.8
+G, G_STANDARD = 9.8, 9.80665
 #: A step of more than this many intervals is a gap (as in static logs).
 GAP = 1.5
 #: Slowest and fastest IMU, Hz, that anybody fuses with GNSS.
@@ -31,10 +31,14 @@ NEAR, KNOWN = 0.25, 0.2
 BELIEVED, REFUSES, FEWEST = 8.0, 12.0, 20
 #: Correlation of the turn of gravity with the gyroscope's from which their ratio is believed.
 TILTED = 0.8
+#: Shortest record of which it is asked whether it was moved, s; a second moves that spreads by so many times the median second.
+REST_SECONDS, MOVED = 60, 10.0
+#: Longest part of a record at rest in which it is moved; more is a drive.
+HANDLED = 0.2
 #: Size of the mean specific force, in units of gravity, up to which a manoeuvre explains it (a 3-g turn all the time).
 MANOEUVRE = 4.0
-#: A rail: rows and share of them at an extreme, and other values that a column must have (coarse counts reach their ends as well).
-RAIL_ROWS, RAIL_SHARE, RAIL_LEVELS = 20, 1e-3, 200
+#: A rail: rows at an extreme, their share, and how many times the rows of the value beside it (counts thin out to their ends).
+RAIL_ROWS, RAIL_SHARE, RAIL_OVER = 20, 1e-3, 3
 #: A median rate that no vehicle keeps, rad/s; longest time for which six values stay the same by chance of counts, s; rows looked at for blocks.
 SPIN, FROZEN, BLOCK_ROWS = 10.0, 1.0, 100_000
 #: Departure from a right angle, deg, below which axes are named after it.
@@ -96,11 +100,7 @@ def timing(t: Array, counts: Mapping[str, int], *, moving: bool = True) -> list[
         k = int(gaps[np.argmax(step[gaps])])
         text = f"{gaps.size} gap(s), {lost} of {t.size + lost} samples lost, the longest {step[k]:.4g} s, {t[k] - t[0]:.6g} s after the start"
         long = moving and step[k] > max(0.5, 5.0 * dt)
-        first, last = t[0], t[-1]
-        half = f'--map "from={t[k + 1]:.6f} s"' if last - t[k + 1] > t[k] - first else f'--map "to={t[k]:.6f} s"'
-        out.append(
-            Line("gaps", "odd", text + (": nothing measures what happened in it" if long else ""), half if long else "")
-        )
+        out.append(Line("gaps", "odd", text + (": nothing measures what happened in it" if long else "")))
     repeated, missing = (counts.get(k, 0) for k in ("repeated", "missing"))
     if repeated or missing:
         out.append(
@@ -111,6 +111,33 @@ def timing(t: Array, counts: Mapping[str, int], *, moving: bool = True) -> list[
             )
         )
     return out
+
+
+def moved(t: Array, values: Array) -> list[Line]:
+    """Whether a record that is mostly at rest was moved: stretches of a second that move many times as much as the others, and do not come back.
+
+    Parameters
+    ----------
+    t : (n,) array
+        s.
+    values : (n, k) array
+        Signals.
+    """
+    count = max(2, round(1.0 / beat(t)))
+    n = len(values) // count
+    if n < REST_SECONDS:
+        return []
+    blocks = values[: n * count].reshape(n, count, -1)
+    spread = blocks.std(axis=1)
+    usual = np.median(spread, axis=0)
+    moving = (spread > MOVED * np.maximum(usual, 1e-300)).any(axis=1)
+    rows = np.flatnonzero(moving)
+    if rows.size < 2 or rows[-1] - rows[0] + 1 > HANDLED * n or not (usual > 0.0).all():
+        return []
+    first, last = float(t[rows[0] * count]), float(t[min((rows[-1] + 1) * count, t.size - 1)])
+    text = f"at rest, and moved between {first:.4g} and {last:.4g} s: noise and drift of the whole are those of the motion"
+    keep = f"to={first - 1.0:.6g} s" if first - t[0] > t[-1] - last else f"from={last + 1.0:.6g} s"
+    return [Line("rest", "odd", text, f'--map "{keep}"')]
 
 
 def repeats(imu: ImuRecord) -> list[Line]:
@@ -186,6 +213,9 @@ def force(imu: ImuRecord, explained: bool) -> list[Line]:
         return [Line("specific force", "odd", text)]
     scale = f"{G / size:.4g} m/s^2"
     text = f"|f| is {size:.4g}, expected 9.8 m/s^2; one count would be {scale} at rest"
+    power = 2.0 ** round(np.log2(size))
+    if power >= 1024.0 and near(size, power, 0.03):
+        text, scale = f"|f| is {size:.5g}: counts of which {power:.0f} are 1 g", f"{G_STANDARD / power:.9g} m/s^2"
     return [Line("specific force", "wrong", text, f'--map "accel_unit={scale}"')]
 
 
@@ -199,13 +229,12 @@ def columns(imu: ImuRecord) -> list[Line]:
             if low == high:
                 out.append(Line("columns", "wrong", f"{name} is {low:.4g} in every row: a dead axis, or another column"))
                 continue
-            at = [float(np.mean(values == edge)) for edge in (low, high)]
-            rows = [int(share * values.size) for share in at]
-            steps = np.unique(values[:: max(1, values.size // 4000)]).size
-            edge = int(np.argmax(rows))
-            if rows[edge] >= RAIL_ROWS and at[edge] > RAIL_SHARE and steps > RAIL_LEVELS:
-                text = f"{name} is at {(low, high)[edge]:.5g} in {rows[edge]} rows ({at[edge]:.1%}), its extreme: saturated, or clipped"
-                out.append(Line("columns", "odd", text))
+            for edge in (low, high):
+                inside = values[values != edge]
+                at, beside = values.size - inside.size, int(np.sum(inside == (inside.min() if edge == low else inside.max())))
+                if at >= RAIL_ROWS and at > RAIL_SHARE * values.size and at > RAIL_OVER * beside:
+                    text = f"{name} is at {edge:.5g} in {at} rows ({at / values.size:.1%}), its extreme: saturated, or clipped"
+                    out.append(Line("columns", "odd", text))
     rates = imu.rates()[:, :3]
     mean = np.abs(np.median(rates, axis=0))
     spun = int(np.argmax(mean))
@@ -261,8 +290,11 @@ def rates_alone(imu: ImuRecord, unstated: bool) -> list[Line]:
     if tilt is not None and near(tilt, np.pi / 180, 0.5):
         text = f"gravity turns {1 / tilt:.3g} times more in its axes than the gyroscope says: the values are in rad/s, not deg/s"
         return [Line("angular rate", "wrong", text, '--map "gyro_unit=rad/s"')]
+    if size > SPIN:
+        text = f"the median rate is {size:.3g} rad/s: counts, or another unit; say what one is worth (the setting gyro_unit, such as 0.0076 deg/s)"
+        return [Line("angular rate", "wrong", text)]
     noise = _fast_noise(rate) * np.sqrt(imu.dt)
-    if noise * 180 / np.pi * 60 > 20.0 and np.linalg.norm(np.mean(rate, axis=0)) < 1.0:
+    if noise * 180 / np.pi * 60 > 20.0:
         text = f"white noise of {np.rad2deg(noise) * 60:.3g} deg/sqrt(h) is more than a gyroscope has: deg/s?"
         return [Line("angular rate", "wrong" if unstated else "odd", text, '--map "gyro_unit=deg/s"')]
     said = f"median size {size:.3g} rad/s ({np.rad2deg(size):.3g} deg/s); not checkable: no motion of fixes to hold it against"

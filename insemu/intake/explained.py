@@ -49,8 +49,8 @@ class Reading:
         s that the accelerometer's stamps are moved by.
     shift : float
         s that the stamps of the fixes are moved by.
-    east : float
-        -1 where the fixes go the other way east.
+    east, down : float
+        -1 where the fixes go the other way east, or up.
     """
 
     gyro: Array
@@ -58,6 +58,7 @@ class Reading:
     lag: float = 0.0
     shift: float = 0.0
     east: float = 1.0
+    down: float = 1.0
 
 
 DECLARED = Reading(np.eye(3), np.eye(3))
@@ -209,7 +210,7 @@ class Windows:
         bias = np.zeros(9)
         rows, there = self._rows(reading.shift)
         weight = there.astype(float)
-        y = self._track.velocity[rows] * [1.0, reading.east, 1.0]
+        y = self._track.velocity[rows] * [1.0, reading.east, reading.down]
         when = self._track.t[rows] + reading.shift
         y = y - np.array([0.0, 0.0, GRAVITY]) * (when - self._starts[:, None])[..., None]
         forces = self._pieces(self._sums[1], reading.lag) @ reading.accel.T

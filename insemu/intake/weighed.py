@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 #: Gain that a reading must have over another one to be taken in its place: nats, and nats a number (a tenth less is left).
 NATS, NATS_EACH = 20.0, 0.1
+#: Gain from which the declared reading is refused even where it explains the velocities to some degree, nats.
+PLAIN = 60.0
 #: Log-likelihood a number from which nothing is explained, and share of what unrelated velocities leave, in the same measure.
 WRONG_EACH, WRONG_SHARE = 0.9, 0.5
 #: Nats a number by which unrelated velocities must be worse: less motion tells nothing.
@@ -33,6 +35,8 @@ KNOWN, SCALE = 0.04, 0.05
 SCALE_STEP = 1.02
 #: Windows by which readings are screened, and how many of them are scored by all.
 SCREENED, KEPT = 10, 4
+#: Shortest shift of the fixes that is said, s; first step of the search and its end.
+OFFSET, SHIFT, SHIFT_STEP = 0.1, 0.2, 0.02
 #: Delays that are tried, s.
 LAGS = (-0.5, -0.3, -0.2, 0.2, 0.3, 0.5)
 #: Units that gyroscopes and accelerometers are written in.
@@ -104,10 +108,12 @@ class Weighing:
         Declared units of ``gyro`` and ``accel``.
     velocities : bool
         Whether velocities of the receiver agree with the positions, which then are not mirrored.
+    hint : float
+        s by which turns say that the stamps of the fixes should be moved.
     """
 
-    def __init__(self, windows: Windows, kind: str, dt: float, units: Mapping[str, str], velocities: bool) -> None:
-        self.velocities = velocities
+    def __init__(self, windows: Windows, kind: str, dt: float, units: Mapping[str, str], velocities: bool, hint: float = 0.0) -> None:
+        self.velocities, self.hint = velocities, hint
         self.windows, self.kind, self.dt = windows, kind, dt
         self._few = windows.fewer(SCREENED)
         self._over = " s" if kind == "increment" else ""
@@ -137,7 +143,7 @@ class Weighing:
 
     def best(self) -> list[Named]:
         """Readings that explain more than the declared one, the best first and those that are as good; none where there is none."""
-        found = self._units()
+        found = [*self._shifts(), *self._units()]
         if not any(self.fine(n.found) for n in found):
             top = max(found, key=lambda n: n.found.nats)
             found += self._orders(None)
@@ -193,6 +199,30 @@ class Weighing:
         first = [kept[k] for k in np.argsort(few)[::-1][:KEPT]]
         return [Named(settings, means, self.score(g @ gyro, a @ accel)) for settings, means, g, a in first]
 
+    def shift(self) -> Explained:
+        """The best shift of the fixes near the declared clock or near what turns say."""
+        eye, tried = np.eye(3), [self.declared]
+        for start in {0.0, self.hint}:
+            step = SHIFT
+            best = self.score(eye, eye, shift=start)
+            while step > SHIFT_STEP:
+                at = best.reading.shift
+                best = max((best, *(self.score(eye, eye, shift=at + d) for d in (-step, step))), key=lambda e: e.nats)
+                step = step if best.reading.shift != at else 0.5 * step
+                if abs(best.reading.shift - start) > 1.0:
+                    break
+            tried.append(best)
+        return max(tried, key=lambda e: e.nats)
+
+    def _shifts(self) -> list[Named]:
+        best = self.shift()
+        s = best.reading.shift
+        if abs(s) < OFFSET:
+            return []
+        leap = ", as many as the leap seconds of UTC" if abs(abs(s) - 18.0) < 0.6 else ""
+        said = f"the fixes are {abs(s):.2f} s {'late' if s < 0 else 'early'} against the IMU{leap}"
+        return [Named({"gnss_shift": f"{s:+.2f} s"}, said, best)]
+
     def _clocks(self) -> list[Named]:
         """Readings with one sensor late, and with the fixes on the other side of Greenwich."""
         eye = np.eye(3)
@@ -220,18 +250,34 @@ class Weighing:
     def lines(self) -> tuple[list[Line], bool]:
         """What is said, and whether the declared reading stands."""
         best = self.best() if not self.fine(self.declared) else []
-        top = best[0].found if best else self.declared
-        if not self.moves(top):
-            return [], True
         w = self.windows
-        much = f"{w.count} windows of {w.length:.0f} s"
-        left = f"{self.declared.rms:.2g} m/s of the velocities of the fixes are left ({much}; {self.unrelated.rms:.2g} by unrelated ones)"
-        if best and self.explains(top):
+        left = (
+            f"{self.declared.rms:.2g} m/s of the velocities of the fixes are left ({w.count} windows of {w.length:.0f} s; "
+            f"{self.unrelated.rms:.2g} by unrelated ones)"
+        )
+        if best and self.explains(best[0].found):
             return [self._rival(best, left)], False
         if not self.explains(self.declared):
             text = f"{left}: gyroscope, accelerometer and fixes contradict each other, and no unit, order or sign that was tried makes them agree"
             return [Line("motion", "wrong", text)], False
-        return [Line("motion", "ok", f"gyroscope and specific force explain the velocities of the fixes: {left}"), *self._power()], True
+        if not self.moves(self.declared):
+            text = f"not checkable: what the IMU says of the motion is no larger than the noise of the fixes ({left})"
+            return [Line("motion", "assumed", text)], True
+        out = [Line("motion", "ok", f"gyroscope and specific force explain the velocities of the fixes: {left}"), *self._power()]
+        return [*out, self._clock()], True
+
+    def _clock(self) -> Line:
+        """Whether fixes and IMU share a clock: an antenna ahead of the IMU, which turns before it does, is allowed for."""
+        best = self.shift()
+        gain, shift = best.nats - self.declared.nats, best.reading.shift
+        eye = np.eye(3)
+        worst = min(best.nats - self.score(eye, eye, shift=shift + s).nats for s in (-0.5, 0.5))
+        if gain > NATS and worst > NATS and abs(shift) >= OFFSET:
+            (named,) = self._shifts()
+            return Line("clock", "odd", f"{named.means} ({gain:.0f} nats)", named.command)
+        if worst > NATS:
+            return Line("clock", "ok", f"IMU and fixes share one clock (best offset {shift:+.2f} s, half a second would cost {worst:.0f} nats)")
+        return Line("clock", "assumed", "not checkable: too little motion to see half a second between IMU and fixes")
 
     def fine(self, found: Explained) -> bool:
         """Whether a reading leaves no more than the noise of the fixes."""
@@ -240,7 +286,8 @@ class Weighing:
     def _rival(self, best: list[Named], left: str) -> Line:
         means = [n.means for n in best]
         what = means[0] if len(best) == 1 else "one of these, which nothing here tells apart: " + "; or ".join(means)
-        level: Level = "wrong" if self.explains(best[0].found) and better(best[0].found, self.declared) else "odd"
+        plain = best[0].found.nats - self.declared.nats > PLAIN
+        level: Level = "wrong" if plain or not self.explains(self.declared) else "odd"
         text = f"{left}, {best[0].found.rms:.2g} m/s if {what}"
         return Line("motion", level, text, best[0].command if len(best) == 1 else "")
 
