@@ -104,11 +104,18 @@ def opened(path: Path, gnss: str, options: dict[str, str]) -> tuple[Opened | Non
         return None, None, str(error)
 
 
-def judged(path: Path, gnss: str, want: Opened | None, quiet: tuple[str, ...] = (), about: str = "") -> tuple[str, str]:
+def judged(
+    path: Path,
+    gnss: str,
+    want: Opened | None,
+    quiet: tuple[str, ...] = (),
+    about: str = "",
+    known: list[dict[str, str]] | None = None,
+) -> tuple[str, str]:
     """The verdict about a file and what is behind it: the words of the card and of every command applied."""
     found, card, error = opened(path, gnss, {})
     said = [str(x) for x in card.lines if x.level in ("odd", "wrong") and x.topic not in quiet] if card else [error]
-    given = commands(card, error)
+    given = [c for c in commands(card, error) if c not in (known or [])]
     told = " | ".join(said)
     good = want is not None and not differs(found, want) if found is not None else False
     wrong = []
@@ -125,7 +132,11 @@ def judged(path: Path, gnss: str, want: Opened | None, quiet: tuple[str, ...] = 
     if good:
         return ("false accusation" if refused else "right"), told[:300]
     if not said:
-        open_ = [str(x) for x in card.of("assumed") if "not checkable" in x.text and re.search(about, str(x))] if card and about else []
+        open_ = (
+            [str(x) for x in card.of("assumed") if "not checkable" in x.text and re.search(about, str(x))]
+            if card and about
+            else []
+        )
         return ("said not to be checked", " | ".join(open_)) if open_ else ("silent", "")
     return ("said with a command" if given else "said"), told[:400]
 
@@ -158,7 +169,10 @@ def cases(folder: Path) -> Iterator[tuple[str, str, str]]:
         with tarfile.open(packed) as archive:
             archive.extractall(folder, filter="data")
     truth = base(folder)
-    rest, moved = open_files(folder / "F24_tiny_10s.csv"), open_files(folder / "F22_static_moved.csv", maps=("to=300 s", "", ""))
+    rest, moved = (
+        open_files(folder / "F24_tiny_10s.csv"),
+        open_files(folder / "F22_static_moved.csv", maps=("to=300 s", "", "")),
+    )
     for name, gnss, kind in CASES:
         want: Opened | None = truth if gnss or name[:3] in ("F01", "F03", "F14", "F29") else replace(truth, gnss=None)
         if kind == "fixes":
@@ -318,7 +332,14 @@ SPOILS: dict[str, Spoil] = {
 
 def _about(name: str) -> str:
     """What a line must be about that says that such a spoil was not checked."""
-    topics = {"height": "height", "sigma": "sigma", "fixes": "clock", "velocity": "velocity", "accel": "accel|force|motion", "gyro": "gyro|rate|motion"}
+    topics = {
+        "height": "height",
+        "sigma": "sigma",
+        "fixes": "clock",
+        "velocity": "velocity",
+        "accel": "accel|force|motion",
+        "gyro": "gyro|rate|motion",
+    }
     return next((v for k, v in topics.items() if name.startswith(k)), "nothing")
 
 
@@ -359,7 +380,7 @@ def spoils(folder: Path, only: str = "") -> Iterator[tuple[str, str, str]]:
             if only and only not in name:
                 continue
             path = write(folder / "spoilt.npz", Recording(*spoil(good.imu, good.gnss)))
-            verdict, why = judged(path, "", want, quiet, _about(name))
+            verdict, why = judged(path, "", want, quiet, _about(name), commands(card, ""))
             yield f"{drive}: {name}", {"right": "said" if why else "silent"}.get(verdict, verdict), why
 
 
@@ -381,7 +402,9 @@ def main(arguments: list[str]) -> None:
             for name, verdict, why in parts[part](Path(folder)):
                 counts[verdict] += 1
                 print(f"{verdict:20s} {name}: {why}".replace(folder, "").replace("\n", " "), flush=True)
-        print(f"-- {part}: {sum(counts.values())}: " + ", ".join(f"{n} {k}" for k, n in counts.most_common()), flush=True)
+        print(
+            f"-- {part}: {sum(counts.values())}: " + ", ".join(f"{n} {k}" for k, n in counts.most_common()), flush=True
+        )
 
 
 if __name__ == "__main__":

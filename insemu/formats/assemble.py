@@ -346,7 +346,9 @@ def axis_order(text: str, where: str) -> Array:
     """
     words = text.split()
     if sorted(w.removeprefix("-") for w in words) != ["x", "y", "z"]:
-        raise InputError(f"the order of axes is '{text[:40]}', expected x, y and z once each, such as y -x z", where=where)
+        raise InputError(
+            f"the order of axes is '{text[:40]}', expected x, y and z once each, such as y -x z", where=where
+        )
     matrix = np.zeros((3, 3))
     for row, word in enumerate(words):
         matrix[row, "xyz".index(word[-1])] = -1.0 if word.startswith("-") else 1.0

@@ -367,7 +367,12 @@ def several(names: Sequence[str]) -> list[tuple[str, ...]]:
         words = words_of(english(name))
         digits = tuple(w for w in words if w.isdigit())
         axis = [w for w in words if w in ("x", "y", "z")]
-        if len(axis) == 1 and digits and not set(words) & _NOT and _is_role("gyro", [w for w in words if w not in digits and w != axis[0]]):
+        if (
+            len(axis) == 1
+            and digits
+            and not set(words) & _NOT
+            and _is_role("gyro", [w for w in words if w not in digits and w != axis[0]])
+        ):
             found.setdefault(digits, {})[axis[0]] = name
     return [tuple(axes[a] for a in "xyz") for axes in found.values() if len(axes) == 3]
 

@@ -39,5 +39,9 @@ def english(name: str) -> str:
         close = r"(?![a-z])" if word.isascii() else ""
         found = re.search(f"{edge}{re.escape(word)}{close}", low)
         if found is not None:
-            return f"{plain[: found.start()]}{wanted}{plain[found.end() :]}" if word.isascii() else f"{low[: found.start()]}{wanted} {low[found.end() :]}".strip()
+            return (
+                f"{plain[: found.start()]}{wanted}{plain[found.end() :]}"
+                if word.isascii()
+                else f"{low[: found.start()]}{wanted} {low[found.end() :]}".strip()
+            )
     return name

@@ -38,7 +38,7 @@ HANDLED = 0.2
 #: Size of the mean specific force, in units of gravity, up to which a manoeuvre explains it (a 3-g turn all the time).
 MANOEUVRE = 4.0
 #: A rail: rows at an extreme, their share, and how many times the rows of the value beside it (counts thin out to their ends).
-RAIL_ROWS, RAIL_SHARE, RAIL_OVER = 20, 1e-3, 3
+RAIL_ROWS, RAIL_SHARE, RAIL_OVER = 20, 2e-4, 3
 #: A median rate that no vehicle keeps, rad/s; longest time for which six values stay the same by chance of counts, s; rows looked at for blocks.
 SPIN, FROZEN, BLOCK_ROWS = 10.0, 1.0, 100_000
 #: Departure from a right angle, deg, below which axes are named after it.
@@ -135,7 +135,9 @@ def moved(t: Array, values: Array) -> list[Line]:
     if rows.size < 2 or rows[-1] - rows[0] + 1 > HANDLED * n or not (usual > 0.0).all():
         return []
     first, last = float(t[rows[0] * count]), float(t[min((rows[-1] + 1) * count, t.size - 1)])
-    text = f"at rest, and moved between {first:.4g} and {last:.4g} s: noise and drift of the whole are those of the motion"
+    text = (
+        f"at rest, and moved between {first:.4g} and {last:.4g} s: noise and drift of the whole are those of the motion"
+    )
     keep = f"to={first - 1.0:.6g} s" if first - t[0] > t[-1] - last else f"from={last + 1.0:.6g} s"
     return [Line("rest", "odd", text, f'--map "{keep}"')]
 
@@ -204,7 +206,9 @@ def force(imu: ImuRecord, explained: bool) -> list[Line]:
     fits = sorted((abs(np.log(size / wanted)), unit, what) for wanted, unit, what in _GRAVITIES)
     if fits[0][0] < np.log1p(0.1):
         text = f"|f| is {size:.4g}, expected 9.8 m/s^2; {fits[0][2]}"
-        return [Line("specific force", "wrong", text, f'--map "accel_unit={fits[0][1]}{" s" * (imu.kind == "increment")}"')]
+        return [
+            Line("specific force", "wrong", text, f'--map "accel_unit={fits[0][1]}{" s" * (imu.kind == "increment")}"')
+        ]
     if size < 3.0:
         return [Line("specific force", "wrong", f"|f| is {size:.3g} m/s^2, expected 9.8: gravity was removed, which no navigation filter undoes",
                      "record the accelerometer with gravity (TotalAcceleration, AccelerometerUncalibrated)")]  # fmt: skip
@@ -227,11 +231,16 @@ def columns(imu: ImuRecord) -> list[Line]:
             name = f"{axis} of the {sensor}"
             low, high = float(values.min()), float(values.max())
             if low == high:
-                out.append(Line("columns", "wrong", f"{name} is {low:.4g} in every row: a dead axis, or another column"))
+                out.append(
+                    Line("columns", "wrong", f"{name} is {low:.4g} in every row: a dead axis, or another column")
+                )
                 continue
             for edge in (low, high):
                 inside = values[values != edge]
-                at, beside = values.size - inside.size, int(np.sum(inside == (inside.min() if edge == low else inside.max())))
+                at, beside = (
+                    values.size - inside.size,
+                    int(np.sum(inside == (inside.min() if edge == low else inside.max()))),
+                )
                 if at >= RAIL_ROWS and at > RAIL_SHARE * values.size and at > RAIL_OVER * beside:
                     text = f"{name} is at {edge:.5g} in {at} rows ({at / values.size:.1%}), its extreme: saturated, or clipped"
                     out.append(Line("columns", "odd", text))
@@ -249,13 +258,21 @@ def columns(imu: ImuRecord) -> list[Line]:
         seconds = float(runs[longest] * imu.dt)
         if seconds > FROZEN:
             at_s = float(imu.t[edges[2 * longest]] - imu.t[0])
-            out.append(Line("columns", "odd", f"all six values stay the same for {seconds:.3g} s, {at_s:.4g} s after the start: frozen"))
+            out.append(
+                Line(
+                    "columns",
+                    "odd",
+                    f"all six values stay the same for {seconds:.3g} s, {at_s:.4g} s after the start: frozen",
+                )
+            )
     return out + _blocks(imu)
 
 
 def _blocks(imu: ImuRecord) -> list[Line]:
     """Rows that come in blocks of turned order: steps are larger between blocks than inside, every so many rows."""
-    values = np.hstack([imu.gyro / max(float(np.std(imu.gyro)), 1e-300), imu.accel / max(float(np.std(imu.accel)), 1e-300)])
+    values = np.hstack(
+        [imu.gyro / max(float(np.std(imu.gyro)), 1e-300), imu.accel / max(float(np.std(imu.accel)), 1e-300)]
+    )
     step = np.minimum((np.diff(values[:BLOCK_ROWS], axis=0) ** 2).sum(axis=1), 10.0)
     for width in range(2, 65):
         n = step.size // width

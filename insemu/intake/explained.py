@@ -81,6 +81,8 @@ class Explained:
         Of gyroscope (rad/s) and accelerometer (m/s^2), and the antenna's place (m).
     count : int
         Numbers that were held against each other.
+    turned : float
+        Log-likelihood of turns of the course, where they tell.
     """
 
     reading: Reading
@@ -89,6 +91,12 @@ class Explained:
     scale: float
     bias: Array
     count: int
+    turned: float = 0.0
+
+    @property
+    def total(self) -> float:
+        """All log-likelihood."""
+        return self.nats + self.turned
 
     @property
     def rms(self) -> float:
@@ -182,7 +190,9 @@ class Windows:
         both = there[:, 1:] & there[:, :-1]
         dt = np.where(both, np.diff(when, axis=1), 1.0)[..., None]
         wanted = np.diff(v, axis=1) / dt - np.array([0.0, 0.0, GRAVITY])
-        sums = np.stack([np.interp(when.ravel(), self._imu.t, c) for c in self._sums[1].T], axis=-1).reshape(*when.shape, 3)
+        sums = np.stack([np.interp(when.ravel(), self._imu.t, c) for c in self._sums[1].T], axis=-1).reshape(
+            *when.shape, 3
+        )
         have = np.diff(sums, axis=1) / dt
         return np.linalg.norm(wanted[both], axis=-1), np.linalg.norm(have[both], axis=-1)
 
@@ -265,7 +275,9 @@ def _sum(steps: Array) -> Array:
 def _centred(values: Array, weight: Array) -> Array:
     """Less the mean of each window: the velocity at its beginning is free."""
     w = weight.reshape(*weight.shape, *([1] * (values.ndim - 2)))
-    return np.asarray((values - (values * w).sum(axis=1, keepdims=True) / np.maximum(w.sum(axis=1, keepdims=True), 1.0)) * w)
+    return np.asarray(
+        (values - (values * w).sum(axis=1, keepdims=True) / np.maximum(w.sum(axis=1, keepdims=True), 1.0)) * w
+    )
 
 
 def _wahba(y: Array, q: Array, weight: Array) -> tuple[Array, float]:
@@ -293,4 +305,3 @@ def _step(rest: Array, q: Array, columns: Array, weight: Array, floor: float, bi
     prior = np.repeat([GYRO_BIAS, ACCEL_BIAS, ARM], 3) ** -2.0
     N = np.einsum("wni,wnj,w->ij", X, X, 1.0 / size) + np.diag(prior)
     return np.asarray(np.linalg.solve(N, np.einsum("wni,wn,w->i", X, r, 1.0 / size) - prior * bias))
-

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from insemu import earth
 from insemu.intake.card import Level, Line
 from insemu.intake.explained import DECLARED, FEWEST, Windows
-from insemu.intake.weighed import Weighing
+from insemu.intake.weighed import Turning, Weighing
 from insemu.intake.checks import NEAR, SQUARE, believed, mounting, near
 from insemu.intake.motion import (
     Push,
@@ -23,6 +23,7 @@ from insemu.intake.motion import (
     scatter,
     thinned,
     turn_of,
+    turns,
     up_of,
     velocity_track,
 )
@@ -41,6 +42,8 @@ FAR_APART, FEWEST_APART = 15.0, 20
 CLIMB_S = 20.0
 #: Correlation of the changes of height with what the vertical velocity says from which their ratio is believed, and how near it must be to a known one.
 OPPOSED, RATIO = 0.8, 0.15
+#: Correlation from which the course follows the heading.
+FOLLOWS = 0.9
 #: Turn of the velocities against the positions that is said, rad (about grid north instead of true north).
 TURNED = np.deg2rad(1.5)
 #: Lowest dry land, m: heights below are negated, or of another unit.
@@ -48,7 +51,7 @@ LOWEST = -430.0
 #: Held positions: shortest, s, and how far the velocities go meanwhile, m; a jump: m and times the scatter.
 HELD_S, HELD_M, JUMP_M, JUMP_TIMES = 5.0, 10.0, 20.0, 15.0
 #: Stretch over which positions are held against velocities for their scatter, s; stated standard deviations so many times that, or a part of it, are said.
-SLOW_S, TOO_LARGE, TOO_SMALL = 30.0, 30.0, 10.0
+SLOW_S, TOO_LARGE, TOO_SMALL = 30.0, 20.0, 10.0
 
 
 @dataclass(frozen=True)
@@ -278,7 +281,11 @@ def heights(gnss: GnssRecord, found: Agreement | None, opposite: float) -> list[
     if np.isnan(ratio):
         if h < LOWEST:
             return [Line("heights", "odd", f"a height of {h:.4g} m is below any land: negated, or in another unit?")]
-        return [Line("heights", "assumed", "not checkable: nothing climbs enough to hold heights against vertical velocities")]
+        return [
+            Line(
+                "heights", "assumed", "not checkable: nothing climbs enough to hold heights against vertical velocities"
+            )
+        ]
     if near(ratio, 1.0, RATIO):
         return [Line("heights", "ok", f"they change by {ratio:.2f} of what the vertical velocities say")]
     if near(-ratio, 1.0, RATIO):
@@ -287,10 +294,24 @@ def heights(gnss: GnssRecord, found: Agreement | None, opposite: float) -> list[
             return [Line("heights", "wrong", f"{text}: the heights are negated", '--map "height_unit=-1 m"')]
         if opposite < -OFFSET_NATS:
             return [Line("heights", "wrong", f"{text}: the third component is up", '--map "velocity=neu"')]
-        return [Line("heights", "wrong", f"{text}: the third component is up, or the heights are negated", '--map "velocity=neu"' if h > 0.0 else "")]
+        return [
+            Line(
+                "heights",
+                "wrong",
+                f"{text}: the third component is up, or the heights are negated",
+                '--map "velocity=neu"' if h > 0.0 else "",
+            )
+        ]
     for factor, unit in ((1.0 / 0.3048, "ft"), (1e3, "mm"), (1e2, "cm"), (1e-3, "km")):
         if near(ratio, factor, RATIO):
-            return [Line("heights", "wrong", f"they change {ratio:.3g} times as much as the vertical velocities say: they are in {unit}", f'--map "height_unit={unit}"')]
+            return [
+                Line(
+                    "heights",
+                    "wrong",
+                    f"they change {ratio:.3g} times as much as the vertical velocities say: they are in {unit}",
+                    f'--map "height_unit={unit}"',
+                )
+            ]
     return [Line("heights", "odd", f"they change {ratio:.3g} times as much as the vertical velocities say")]
 
 
@@ -303,7 +324,12 @@ def steps(gnss: GnssRecord) -> list[Line]:
         return []
     moved, dt = earth.position_difference(llh[1:], llh[:-1])[:, :2], np.diff(t)
     if own is not None:
-        sums = np.vstack([np.zeros(2), np.cumsum(0.5 * (own.velocity[1:, :2] + own.velocity[:-1, :2]) * np.diff(own.t)[:, None], axis=0)])
+        sums = np.vstack(
+            [
+                np.zeros(2),
+                np.cumsum(0.5 * (own.velocity[1:, :2] + own.velocity[:-1, :2]) * np.diff(own.t)[:, None], axis=0),
+            ]
+        )
         said = np.diff(np.column_stack([np.interp(t, own.t, c) for c in sums.T]), axis=0)
     else:  # as fast as just before and after
         speed = moved / dt[:, None]
@@ -320,7 +346,13 @@ def steps(gnss: GnssRecord) -> list[Line]:
     usual = 1.4826 * float(np.median(off))
     k = int(np.argmax(off))
     if off[k] > max(JUMP_M, JUMP_TIMES * usual, 0.5 * float(np.linalg.norm(said[k]))) and not out:
-        out.append(Line("fixes", "odd", f"the positions jump by {off[k]:.4g} m, {t[k + 1]:.5g} s after the start, and no velocity explains it"))
+        out.append(
+            Line(
+                "fixes",
+                "odd",
+                f"the positions jump by {off[k]:.4g} m, {t[k + 1]:.5g} s after the start, and no velocity explains it",
+            )
+        )
     return out
 
 
@@ -332,9 +364,11 @@ def slow_scatter(gnss: GnssRecord) -> float:
         return np.nan
     t, llh = gnss.t[good], gnss.llh[good]
     place = earth.position_difference(llh, llh[0])[:, :2]
-    sums = np.vstack([np.zeros(2), np.cumsum(0.5 * (own.velocity[1:, :2] + own.velocity[:-1, :2]) * np.diff(own.t)[:, None], axis=0)])
+    sums = np.vstack(
+        [np.zeros(2), np.cumsum(0.5 * (own.velocity[1:, :2] + own.velocity[:-1, :2]) * np.diff(own.t)[:, None], axis=0)]
+    )
     rest = place - np.column_stack([np.interp(t, own.t, c) for c in sums.T])
-    edges = np.searchsorted(t, np.arange(t[0], t[-1], SLOW_S))
+    edges = every(t, SLOW_S)
     spread = [float(rest[a:b].std(axis=0).max()) for a, b in zip(edges, edges[1:], strict=False) if b - a > 4]
     return float(np.median(spread)) if spread else np.nan
 
@@ -357,7 +391,13 @@ def _spreads(gnss: GnssRecord) -> list[Line]:
     if spread.max() > 200.0 or spread.min() < 5e-4:
         return [Line("sigma", "odd", said)]
     if np.isfinite(slow) and spread[:2].max() > TOO_LARGE * max(seen, 0.01):
-        return [Line("sigma", "odd", f"{said}, {spread[:2].max() / max(seen, 0.01):.0f} times what they scatter by against their velocities ({seen:.2g} m)")]
+        return [
+            Line(
+                "sigma",
+                "odd",
+                f"{said}, {spread[:2].max() / max(seen, 0.01):.0f} times what they scatter by against their velocities ({seen:.2g} m)",
+            )
+        ]
     if fast > TOO_SMALL * spread[:2].max():
         return [Line("sigma", "odd", f"{said}, and from one to the next they scatter by {fast:.2g} m")]
     if not np.isfinite(slow):
@@ -505,10 +545,16 @@ def weighed(
     """
     track = best_track(gnss, found)
     windows = Windows(imu, track)
-    hint = turn.shift if turn is not None and believed(turn) and turn.gain_nats > OFFSET_NATS else 0.0
     if windows.count < FEWEST:
         return [], True
-    return Weighing(windows, imu.kind, imu.dt, units, track.span == 0.0, hint).lines()
+    turning = None
+    if turn is not None and believed(turn) and abs(turn.correlation) > FOLLOWS:
+        shift = turn.shift if turn.gain_nats > OFFSET_NATS else 0.0
+        turning = Turning(turns(imu, track, shift), up_of(imu)[0], shift, turn.slope)
+    others = {}
+    if track.span and (swapped := _swapped_track(gnss)) is not None and Windows(imu, swapped).count >= FEWEST:
+        others["latlon=swapped"] = Windows(imu, swapped).explain()
+    return Weighing(windows, imu.kind, imu.dt, units, track.span == 0.0, turning, others).lines()
 
 
 def upright(imu: ImuRecord, gnss: GnssRecord, found: Agreement | None) -> float:

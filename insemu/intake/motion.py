@@ -259,6 +259,27 @@ def turn_of(imu: ImuRecord, track: Track) -> Turn | None:
     return Turn(slope, correlation, float(fine[k]), float(gain), float(beside), count, turned)
 
 
+def turns(imu: ImuRecord, track: Track, shift: float) -> tuple[Array, Array, Array]:
+    """Change of course in each interval (n,), the integral of the rates over it (n, 3), both times the speed, m/s, and the interval's weighted length.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+    track : Track
+    shift : float
+        s to add to the track's stamps.
+    """
+    track = thinned(track)
+    rows = _intervals(track, imu, abs(shift) + 0.1)
+    course = np.arctan2(track.velocity[:, 1], track.velocity[:, 0])
+    change = (np.diff(course)[rows] + np.pi) % (2.0 * np.pi) - np.pi
+    sums, when = _cumulated(imu)[0], track.t + shift
+    angle = np.diff(_at(imu.t, sums, when), axis=0)[rows]
+    speed = np.hypot(track.velocity[:, 0], track.velocity[:, 1])
+    weight = np.minimum(np.minimum(speed[1:], speed[:-1])[rows], 10.0 * SLOWEST)
+    return change * weight, angle * weight[:, None], np.diff(track.t)[rows] * weight
+
+
 def _partial(x: Array, y: Array, other: Array, keep: NDArray[np.bool_]) -> tuple[float, float]:
     """Slope of y on x and their correlation, beside another regressor."""
     x, y, other = x[keep], y[keep], other[keep]

@@ -15,7 +15,20 @@ from insemu.intake.card import Card, Line
 #: Most settings that are put together, one after the other.
 MOST = 5
 #: Topics in the order in which they are believed: what the fixes are comes before what they say of the IMU.
-ORDER = ("rate", "reference", "fixes", "velocity", "heights", "clock", "specific force", "motion", "angular rate", "axes", "columns", "order of rows")
+ORDER = (
+    "rate",
+    "reference",
+    "fixes",
+    "velocity",
+    "heights",
+    "clock",
+    "specific force",
+    "motion",
+    "angular rate",
+    "axes",
+    "columns",
+    "order of rows",
+)
 
 
 def settings_of(line: Line) -> dict[str, str]:
@@ -62,14 +75,18 @@ def tried(data: Opened, examined: Callable[[Opened], Card]) -> Card:
                 after = _card(again.read, settings_of(line), examined)
                 if after is not None and not any(x.topic in ORDER and x.level in ("odd", "wrong") for x in after.lines):
                     given[id(line)] = again.options(settings_of(line))
-    return replace(card, lines=tuple(replace(x, mend=given.get(id(x), "")) if settings_of(x) else x for x in card.lines))
+    return replace(
+        card, lines=tuple(replace(x, mend=given.get(id(x), "")) if settings_of(x) else x for x in card.lines)
+    )
 
 
 def _rank(line: Line) -> int:
     return ORDER.index(line.topic) if line.topic in ORDER else len(ORDER)
 
 
-def _card(read: Callable[[dict[str, str]], Opened], settings: dict[str, str], examined: Callable[[Opened], Card]) -> Card | None:
+def _card(
+    read: Callable[[dict[str, str]], Opened], settings: dict[str, str], examined: Callable[[Opened], Card]
+) -> Card | None:
     """The card with settings; None where the files cannot be read so."""
     try:
         return examined(read(settings))

@@ -8,7 +8,7 @@ alone: where two readings do it equally well, both are said and no command is gi
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations, product
 
 import numpy as np
@@ -34,14 +34,18 @@ KNOWN, SCALE = 0.04, 0.05
 #: How finely the factor is looked for.
 SCALE_STEP = 1.02
 #: Windows by which readings are screened, and how many of them are scored by all.
-SCREENED, KEPT = 10, 4
+SCREENED, KEPT = 10, 8
 #: Shortest shift of the fixes that is said, s; first step of the search and its end.
 OFFSET, SHIFT, SHIFT_STEP = 0.1, 0.2, 0.02
+#: Course and heading differ so much at least, m/s across.
+SLIP = 0.2
 #: Delays that are tried, s.
 LAGS = (-0.5, -0.3, -0.2, 0.2, 0.3, 0.5)
 #: Units that gyroscopes and accelerometers are written in.
-GYRO_UNITS = ("rad/s", "deg/s", "mrad/s", "mdps", "rpm", "rev/s", "deg/h", "rad/h")
-ACCEL_UNITS = ("m/s^2", "g", "mg", "ug", "mm/s^2", "cm/s^2", "ft/s^2")
+GYRO_UNITS = ("rad/s", "deg/s", "mrad/s", "mdps", "rpm", "rev/s", "deg/h", "rad/h", "57.29578 rad/s")
+ACCEL_UNITS = ("m/s^2", "g", "mg", "ug", "mm/s^2", "cm/s^2", "ft/s^2", "0.1019716 m/s^2")
+#: Counts of which 2048, 4096, ... are 1 g.
+_COUNTS = tuple(f"{9.80665 / 2**k:.9g} m/s^2" for k in range(11, 17))
 
 
 def orders() -> Iterator[tuple[str, Array]]:
@@ -55,6 +59,7 @@ def orders() -> Iterator[tuple[str, Array]]:
 
 _ORDERS = dict(orders())
 _PLAIN, _OPPOSITE = "x y z", "-x -y -z"
+_MEANS = {"latlon=swapped": "latitude and longitude are swapped"}
 _Order = tuple[dict[str, str], str, Array, Array]
 
 
@@ -67,6 +72,15 @@ class Named:
     found: Explained
 
     @property
+    def effort(self) -> int:
+        """How many declared facts it contradicts; a factor that is no unit counts double."""
+        orders = [v for k, v in self.settings.items() if k.endswith("_axes")]
+        changed = sum(
+            1 if v == _OPPOSITE else sum(a != b for a, b in zip(v.split(), _PLAIN.split(), strict=True)) for v in orders
+        )
+        return changed + len(self.settings) - len(orders) + 2 * ("no unit" in self.means)
+
+    @property
     def command(self) -> str:
         """What is added to the command."""
         return '--map "' + ", ".join(f"{k}={v}" for k, v in self.settings.items()) + '"' if self.settings else ""
@@ -75,7 +89,8 @@ class Named:
 def better(a: Explained, b: Explained) -> bool:
     """Whether a reading explains more than another one, beyond chance and models."""
     gain = a.nats - b.nats
-    return gain > NATS and gain / max(a.count, 1) > NATS_EACH
+    more = gain + a.turned - b.turned
+    return more > NATS and (gain / max(a.count, 1) > NATS_EACH or a.turned - b.turned > NATS)
 
 
 def units_of(factor: float, declared: str, units: Iterable[str]) -> list[str]:
@@ -94,6 +109,38 @@ def force_factor(windows: Windows) -> float:
     return float(np.median(wanted[good] / have[good])) if good.any() else np.nan
 
 
+class Turning:
+    """Turns of the course against rates, for vehicles whose course follows their heading.
+
+    Parameters
+    ----------
+    rows : three arrays
+        Of :func:`insemu.intake.motion.turns`.
+    up : (3,) array
+        Mean direction of the specific force.
+    shift : float
+        s that the stamps of the fixes were moved by.
+    slope : float
+        Course by gyroscope, which leaves the noise of the course times the speed; no less than :data:`SLIP`, m/s.
+    """
+
+    def __init__(self, rows: tuple[Array, Array, Array], up: Array, shift: float, slope: float) -> None:
+        self.rows, self.up, self.shift = rows, up, shift
+        self.noise = max(SLIP, 1.4826 * float(np.median(np.abs(self._rest(Reading(slope * np.eye(3), np.eye(3)))))))
+
+    def nats(self, reading: Reading) -> float:
+        """Log-likelihood of the turns in a reading: Student's with four degrees of freedom, for courses of slow fixes have heavy tails."""
+        return -2.5 * float(np.sum(np.log1p(0.25 * (self._rest(reading) / self.noise) ** 2)))
+
+    def _rest(self, reading: Reading) -> Array:
+        """What a reading leaves of the turns, a constant drift apart, m/s."""
+        y, angle, span = self.rows
+        up = reading.accel @ self.up
+        x = -(angle @ reading.gyro.T) @ (up / np.linalg.norm(up))
+        rest = reading.east * y - x
+        return np.asarray(rest - span * float(span @ rest) / max(float(span @ span), 1e-12))
+
+
 class Weighing:
     """The readings of one recording.
 
@@ -108,17 +155,29 @@ class Weighing:
         Declared units of ``gyro`` and ``accel``.
     velocities : bool
         Whether velocities of the receiver agree with the positions, which then are not mirrored.
-    hint : float
-        s by which turns say that the stamps of the fixes should be moved.
+    turn : Turning, optional
+        Turns of the fixes, where the course follows the heading.
+    others : mapping of str to Explained, optional
+        Readings of the fixes, by their setting.
     """
 
-    def __init__(self, windows: Windows, kind: str, dt: float, units: Mapping[str, str], velocities: bool, hint: float = 0.0) -> None:
-        self.velocities, self.hint = velocities, hint
+    def __init__(
+        self,
+        windows: Windows,
+        kind: str,
+        dt: float,
+        units: Mapping[str, str],
+        velocities: bool,
+        turn: Turning | None = None,
+        others: Mapping[str, Explained] | None = None,
+    ) -> None:
+        self.velocities, self.turn, self.others = velocities, turn, others or {}
+        self.hint = turn.shift if turn is not None else 0.0
         self.windows, self.kind, self.dt = windows, kind, dt
         self._few = windows.fewer(SCREENED)
         self._over = " s" if kind == "increment" else ""
         self.units = {"gyro": units.get("gyro") or "rad/s", "accel": units.get("accel") or "m/s^2"}
-        self.declared = windows.explain()
+        self.declared = self._with_turn(windows.explain())
         self.unrelated = windows.explain(other=max(1, windows.count // 2))
         self._cache: dict[bytes, Explained] = {}
 
@@ -126,8 +185,12 @@ class Weighing:
         """Score of a reading, kept."""
         key = gyro.tobytes() + accel.tobytes() + repr(sorted(more.items())).encode()
         if key not in self._cache:
-            self._cache[key] = self.windows.explain(Reading(gyro, accel, **more))
+            self._cache[key] = self._with_turn(self.windows.explain(Reading(gyro, accel, **more)))
         return self._cache[key]
+
+    def _with_turn(self, found: Explained) -> Explained:
+        """What turns add; a shift of the fixes other than theirs is the windows' to judge."""
+        return found if self.turn is None else replace(found, turned=self.turn.nats(found.reading))
 
     def explains(self, found: Explained) -> bool:
         """Whether what a reading leaves is the noise of the fixes rather than what unrelated velocities leave."""
@@ -151,8 +214,11 @@ class Weighing:
                 found += self._orders(top)
         if not any(self.fine(n.found) for n in found):
             found += self._clocks() + self._scales()
-        good = sorted((n for n in found if better(n.found, self.declared)), key=lambda n: -n.found.nats)
-        return [n for n in good if not better(good[0].found, n.found)] if good else []
+        found += [Named({"latlon": "swapped"}, _MEANS[k], e) for k, e in self.others.items()]
+        good = sorted((n for n in found if better(n.found, self.declared)), key=lambda n: -n.found.total)
+        equal = [n for n in good if not better(good[0].found, n.found)] if good else []
+        least = min((n.effort for n in equal), default=0)
+        return [n for n in equal if n.effort == least]
 
     def _units(self) -> list[Named]:
         """Readings in other units, and increments for rates."""
@@ -167,7 +233,11 @@ class Weighing:
                     out.append(Named(settings if setting or size == 1.0 else {}, _means_units(settings, size), found))
         time = {"increment": self.dt}.get(self.kind, 1.0 / self.dt)
         word = "sample" if self.kind == "increment" else "increment"
-        said = "the rows are rates, not increments" if word == "sample" else f"the rows are increments of {self.dt:.4g} s, not rates"
+        said = (
+            "the rows are rates, not increments"
+            if word == "sample"
+            else f"the rows are increments of {self.dt:.4g} s, not rates"
+        )
         out.append(Named({"kind": word}, said, self.score(time * np.eye(3), time * np.eye(3))))
         return out
 
@@ -176,7 +246,11 @@ class Weighing:
         force = force_factor(self.windows)
         if not np.isfinite(force) or abs(np.log(force)) < KNOWN:
             return [("", 1.0)]
-        units = units_of(force, self.units["accel"], ACCEL_UNITS)
+        units = units_of(force, self.units["accel"], (*ACCEL_UNITS, *_COUNTS))
+        if (
+            not units and abs(abs(np.log(force)) + np.log(self.dt)) < KNOWN
+        ):  # increments for rates, or rates for increments
+            return [("", 1.0)]
         return [(u, scaled_unit(u).factor / self._size("accel")) for u in units] or [("", force)]
 
     def _size(self, role: str) -> float:
@@ -195,8 +269,9 @@ class Weighing:
                 means = f"{_means_order('gyro', _OPPOSITE)}, and {_means_order('accel', text)}"
                 out.append((known | {"gyro_axes": _OPPOSITE, "accel_axes": text}, means, -np.eye(3), matrix))
         kept = _simplest(out)
-        few = [self._few.explain(Reading(g @ gyro, a @ accel), 1).nats for _, _, g, a in kept]
-        first = [kept[k] for k in np.argsort(few)[::-1][:KEPT]]
+        few = [self._few.explain(Reading(g @ gyro, a @ accel), 1) for _, _, g, a in kept]
+        both = [f + self._with_turn(e).turned for f, e in zip((e.nats for e in few), few, strict=True)]
+        first = [kept[k] for k in np.argsort(both)[::-1][:KEPT]]
         return [Named(settings, means, self.score(g @ gyro, a @ accel)) for settings, means, g, a in first]
 
     def shift(self) -> Explained:
@@ -226,7 +301,11 @@ class Weighing:
     def _clocks(self) -> list[Named]:
         """Readings with one sensor late, and with the fixes on the other side of Greenwich."""
         eye = np.eye(3)
-        out = [] if self.velocities else [Named({"latlon": "west"}, "longitudes count west", self.score(eye, eye, east=-1.0))]
+        out = (
+            []
+            if self.velocities
+            else [Named({"latlon": "west"}, "longitudes count west", self.score(eye, eye, east=-1.0))]
+        )
         best = max((self.score(eye, eye, lag=lag) for lag in LAGS), key=lambda e: e.nats)
         late = "late" if best.reading.lag < 0 else "early"
         said = f"the accelerometer comes about {abs(best.reading.lag):.1f} s {late} against the gyroscope"
@@ -263,7 +342,10 @@ class Weighing:
         if not self.moves(self.declared):
             text = f"not checkable: what the IMU says of the motion is no larger than the noise of the fixes ({left})"
             return [Line("motion", "assumed", text)], True
-        out = [Line("motion", "ok", f"gyroscope and specific force explain the velocities of the fixes: {left}"), *self._power()]
+        out = [
+            Line("motion", "ok", f"gyroscope and specific force explain the velocities of the fixes: {left}"),
+            *self._power(),
+        ]
         return [*out, self._clock()], True
 
     def _clock(self) -> Line:
@@ -276,7 +358,11 @@ class Weighing:
             (named,) = self._shifts()
             return Line("clock", "odd", f"{named.means} ({gain:.0f} nats)", named.command)
         if worst > NATS:
-            return Line("clock", "ok", f"IMU and fixes share one clock (best offset {shift:+.2f} s, half a second would cost {worst:.0f} nats)")
+            return Line(
+                "clock",
+                "ok",
+                f"IMU and fixes share one clock (best offset {shift:+.2f} s, half a second would cost {worst:.0f} nats)",
+            )
         return Line("clock", "assumed", "not checkable: too little motion to see half a second between IMU and fixes")
 
     def fine(self, found: Explained) -> bool:
@@ -286,7 +372,7 @@ class Weighing:
     def _rival(self, best: list[Named], left: str) -> Line:
         means = [n.means for n in best]
         what = means[0] if len(best) == 1 else "one of these, which nothing here tells apart: " + "; or ".join(means)
-        plain = best[0].found.nats - self.declared.nats > PLAIN
+        plain = best[0].found.total - self.declared.total > PLAIN
         level: Level = "wrong" if plain or not self.explains(self.declared) else "odd"
         text = f"{left}, {best[0].found.rms:.2g} m/s if {what}"
         return Line("motion", level, text, best[0].command if len(best) == 1 else "")

@@ -25,7 +25,9 @@ def _read(path: Path, settings: Mapping[str, str]) -> list[Table]:
     given = settings.get("instance", "")
     if not given.isdigit() or int(given) >= len(units):
         ways = " or ".join(f'--map "instance={k}"' for k in range(len(units)))
-        raise InputError(f"holds {len(units)} IMUs ({', '.join(u[0] for u in units)}): say which, {ways}", where=str(path))
+        raise InputError(
+            f"holds {len(units)} IMUs ({', '.join(u[0] for u in units)}): say which, {ways}", where=str(path)
+        )
     other = {c for k, u in enumerate(units) if k != int(given) for c in u}
     numbers = {n for c in units[int(given)] for n in words_of(c) if n.isdigit()}
     others = {n for c in other for n in words_of(c) if n.isdigit()} - numbers

@@ -89,14 +89,28 @@ def _records(data: bytes) -> Iterator[tuple[str, list[str], tuple[float, ...]]]:
         body = data[at + 3 : at + length]
         if name == "FMT":
             number, size = body[0], body[1]
-            new, form, text = (body[a:b].split(b"\0")[0].decode("ascii", "replace") for a, b in ((2, 6), (6, 22), (22, 86)))
+            new, form, text = (
+                body[a:b].split(b"\0")[0].decode("ascii", "replace") for a, b in ((2, 6), (6, 22), (22, 86))
+            )
             packed = "<" + "".join(_TYPES[c][0] for c in form) if all(c in _TYPES for c in form) else ""
             fits = bool(packed) and struct.calcsize(packed) == size - 3 and len(text.split(",")) == len(form)
             if size >= 3 and number != _FMT:
-                known[number] = (size, new, struct.Struct(packed) if fits else None, [_TYPES[c][1] for c in form] if fits else [], text.split(","))
+                known[number] = (
+                    size,
+                    new,
+                    struct.Struct(packed) if fits else None,
+                    [_TYPES[c][1] for c in form] if fits else [],
+                    text.split(","),
+                )
         elif layout is not None and name in _WANTED:
             values = layout.unpack(body)
-            yield name, labels, tuple(v * f if isinstance(v, (int, float)) else float("nan") for v, f in zip(values, factors, strict=True))
+            yield (
+                name,
+                labels,
+                tuple(
+                    v * f if isinstance(v, (int, float)) else float("nan") for v, f in zip(values, factors, strict=True)
+                ),
+            )
         at = at + length if data[at + length : at + length + 2] == _HEAD else data.find(_HEAD, at + length)
 
 

@@ -59,14 +59,20 @@ def _what(probe: Probe) -> str:
         return "nav"
     if rows.shape[1] != 7:
         return ""
-    place = (np.abs(rows[:, 1]) <= 90).all() and (np.abs(rows[:, 2]) <= 360).all() and (rows[:, 1:3].std(axis=0) < 1.0).all()
+    place = (
+        (np.abs(rows[:, 1]) <= 90).all()
+        and (np.abs(rows[:, 2]) <= 360).all()
+        and (rows[:, 1:3].std(axis=0) < 1.0).all()
+    )
     if dt > 0.02 and place and (rows[:, 4:] >= 0).all() and (probe.suffix == ".pos" or (rows[:, 1:4] != 0.0).all()):
         return "pos"
     force = float(np.median(np.linalg.norm(rows[:, 4:7], axis=1))) / dt
     angle = float(np.median(np.linalg.norm(rows[:, 1:4], axis=1)))
     if 7.0 < force < 14.0 and dt <= 0.1 and angle < 0.5:
         return "imu"
-    return "rates" if 7.0 < force * dt < 14.0 and dt <= 0.1 else ""  # the layout with another content (KF-GINS, issues 12 and 23)
+    return (
+        "rates" if 7.0 < force * dt < 14.0 and dt <= 0.1 else ""
+    )  # the layout with another content (KF-GINS, issues 12 and 23)
 
 
 def _read(path: Path, settings: Mapping[str, str]) -> list[Table]:

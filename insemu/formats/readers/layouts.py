@@ -94,9 +94,13 @@ class Layout:
             raise InputError("has no row of numbers after its names", where=f"{path}, line {at + 1}")
         width = len(_cells(above[first], separator))
         if width == len(names) + 2 * len(self.sexagesimal):
-            names = [n for name in names for n in ([f"{name}_{p}" for p in "dms"] if name in self.sexagesimal else [name])]
+            names = [
+                n for name in names for n in ([f"{name}_{p}" for p in "dms"] if name in self.sexagesimal else [name])
+            ]
         if width < len(names):
-            raise InputError(f"has {width} cells, expected {len(names)} as in the names", where=f"{path}, line {first + 1}")
+            raise InputError(
+                f"has {width} cells, expected {len(names)} as in the names", where=f"{path}, line {first + 1}"
+            )
         columns = _rows(path, first, separator, names)
         for name in self.sexagesimal:
             if f"{name}_d" in columns:
@@ -182,7 +186,16 @@ def _rows(path: Path, first: int, separator: str | None, names: Sequence[str]) -
         for _ in range(first):
             file.readline()
         width = list(range(len(names)))
-        for frame in pieces(file, sep=separator or r"\s+", names=width, usecols=width, index_col=False, skipinitialspace=True, comment="#", on_bad_lines="skip"):
+        for frame in pieces(
+            file,
+            sep=separator or r"\s+",
+            names=width,
+            usecols=width,
+            index_col=False,
+            skipinitialspace=True,
+            comment="#",
+            on_bad_lines="skip",
+        ):
             columns.add([pd.to_numeric(frame[k], errors="coerce").to_numpy() for k in width])
     return dict(zip(names, columns.whole(), strict=True))
 

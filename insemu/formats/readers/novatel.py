@@ -83,7 +83,9 @@ def _imu(rows: Mapping[str, list[list[float]]]) -> Table | None:
         said = (f"IMU type {kind} does not measure gravity with its scales: those of type {fits[-1]} do and are taken",)
         kind = fits[-1]
     if kind not in _SCALES:
-        raise InputError(f"counts of IMU type {kind}, whose scale is not known; give rates or increments in SI", where="RAWIMUSXA")
+        raise InputError(
+            f"counts of IMU type {kind}, whose scale is not known; give rates or increments in SI", where="RAWIMUSXA"
+        )
     gyro, accel = _SCALES[kind]
     columns: dict[str, NDArray[Any]] = {"week": week, "sec": sec}
     columns |= {n: counts[:, k] * accel for k, n in enumerate(("ax", "ay", "az"))}

@@ -43,7 +43,10 @@ def _read_fix(path: Path, settings: Mapping[str, str]) -> list[Table]:
     table = any_table(path)
     columns = dict(table.columns)
     names = {role: picks[0].column for role, picks in table.map.picks.items() if role in ("lat", "lon", "height")}
-    status = next((c for n, c in columns.items() if n.lower().endswith("status.status") or n.lower().endswith("status_status")), None)
+    status = next(
+        (c for n, c in columns.items() if n.lower().endswith("status.status") or n.lower().endswith("status_status")),
+        None,
+    )
     notes: tuple[str, ...] = ()
     if status is not None and (status < 0).any():
         for name in names.values():
