@@ -8,8 +8,10 @@ import unicodedata
 #: English word -> words of other languages, without accents, in lower case; longer ones go first.
 _WORDS: dict[str, str] = {
     "angular velocity": "drehrate drehgeschwindigkeit winkelgeschwindigkeit vitesse_angulaire velocidad_angular velocidade_angular velocita_angolare "
-    "hoeksnelheid vinkelhastighet predkosc_katowa 角速度 陀螺仪 陀螺 ジャイロ угловая_скорость гироскоп 각속도 giroscopio giroscopo gyroskop gyroscoop zyroskop",
-    "acceleration": "beschleunigung acceleration_ aceleracion aceleracao accelerazione versnelling przyspieszenie acceleratie 加速度 加速度计 加速度計 "
+    "hoeksnelheid vinkelhastighet predkosc_katowa "
+    " 角速度 陀螺仪 陀螺 ジャイロ угловая_скорость гироскоп 각속도 giroscopio giroscopo gyroskop gyroscoop zyroskop",
+    "acceleration": "beschleunigung acceleration_ aceleracion aceleracao accelerazione versnelling przyspieszenie "
+    "acceleratie 加速度 加速度计 加速度計 "
     "ускорение акселерометр 가속도 beschleunigungssensor accelerometre acelerometro accelerometro",
     "time": "zeit zeitstempel temps horodatage tiempo tempo tijd czas 时间 時間 時刻 时间戳 время 시간",
     "latitude": "breite breitengrad latitud latitudine breedtegraad szerokosc 纬度 緯度 широта 위도",

@@ -218,7 +218,12 @@ def open_files(
         _aids(main, origin) if imu is not None else (),
         origin,
         dict(story.units),
-        Again(*(Path(p) if p is not None else None for p in (path, gnss, truth)), tuple(_map_of(m) for m in maps)),  # type: ignore[arg-type]
+        Again(
+            Path(path),
+            None if gnss is None else Path(gnss),
+            None if truth is None else Path(truth),
+            (_map_of(maps[0]), _map_of(maps[1]), _map_of(maps[2])),
+        ),
     )
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from insemu import rotation
 from insemu.formats import round_rate
-from insemu.intake.card import Level, Line
+from insemu.intake.card import Line
 from insemu.intake.motion import Push, Turn, up_of
 from insemu.records import ImuRecord
 from insemu.sample_times import beat, samples

@@ -152,7 +152,7 @@ class Windows:
         pauses = imu.t[:-1][np.diff(imu.t) > max(0.3, 5.0 * imu.dt)]
         paused = np.searchsorted(pauses, starts + self.length + 1.0) - np.searchsorted(pauses, starts - 1.0)
         good = starts[(count >= ROWS) & (paused == 0)]
-        return good if good.size <= MOST else good[np.linspace(0, good.size - 1, MOST).astype(int)]
+        return np.asarray(good if good.size <= MOST else good[np.linspace(0, good.size - 1, MOST).astype(int)])
 
     @cached_property
     def _sums(self) -> tuple[Array, Array]:

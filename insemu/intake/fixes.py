@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -10,9 +11,8 @@ from numpy.typing import NDArray
 
 from insemu import earth
 from insemu.intake.card import Level, Line
-from insemu.intake.explained import DECLARED, FEWEST, Windows
-from insemu.intake.weighed import Turning, Weighing
 from insemu.intake.checks import NEAR, SQUARE, believed, mounting, near
+from insemu.intake.explained import DECLARED, FEWEST, Windows
 from insemu.intake.motion import (
     Push,
     Track,
@@ -27,6 +27,7 @@ from insemu.intake.motion import (
     up_of,
     velocity_track,
 )
+from insemu.intake.weighed import Turning, Weighing
 from insemu.records import GnssRecord, ImuRecord, Trajectory
 
 Array = NDArray[np.float64]
@@ -40,7 +41,7 @@ ARM_NATS = 6.0
 FAR_APART, FEWEST_APART = 15.0, 20
 #: Stretches over which heights are held against the vertical velocity, s: a climb of 0.3 m/s is 6 m there, and a receiver's slow errors are less.
 CLIMB_S = 20.0
-#: Correlation of the changes of height with what the vertical velocity says from which their ratio is believed, and how near it must be to a known one.
+#: Correlation of changes of height with those that the vertical velocity says from which their ratio is believed; how near it must be to a known one.
 OPPOSED, RATIO = 0.8, 0.15
 #: Correlation from which the course follows the heading.
 FOLLOWS = 0.9
@@ -50,7 +51,7 @@ TURNED = np.deg2rad(1.5)
 LOWEST = -430.0
 #: Held positions: shortest, s, and how far the velocities go meanwhile, m; a jump: m and times the scatter.
 HELD_S, HELD_M, JUMP_M, JUMP_TIMES = 5.0, 10.0, 20.0, 15.0
-#: Stretch over which positions are held against velocities for their scatter, s; stated standard deviations so many times that, or a part of it, are said.
+#: Stretch over which positions are held against velocities for their scatter, s; stated standard deviations so many times that are said.
 SLOW_S, TOO_LARGE, TOO_SMALL = 30.0, 20.0, 10.0
 
 
@@ -256,7 +257,8 @@ def _velocities(gnss: GnssRecord, found: Agreement | None, unstated: bool) -> li
                 return [Line("velocity", "wrong", text, f'--map "vel_unit={unit}"')]
         return [Line("velocity", "odd", f"the positions move {found.scale:.4g} times the velocities")]
     if found.turn:
-        text = f"the velocities are turned by {np.rad2deg(found.turn):+.1f} deg against the motion of the positions: about another north (grid, magnetic)?"
+        angle = f"{np.rad2deg(found.turn):+.1f} deg"
+        text = f"the velocities are turned by {angle} against the motion of the positions: about another north (grid, magnetic)?"
         return [Line("velocity", "odd", text)]
     if found.scale == 0.0:
         return [Line("velocity", "odd", "the velocities are zero while the positions move")]
@@ -339,7 +341,7 @@ def steps(gnss: GnssRecord) -> list[Line]:
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         far = float(np.linalg.norm(said[first:last].sum(axis=0)))
         if t[last] - t[first] > HELD_S and far > HELD_M:
-            text = f"the positions stay the same for {t[last] - t[first]:.3g} s, {t[first]:.4g} s after the start, while they go {far:.3g} m by the velocities"
+            text = f"the positions stay the same for {t[last] - t[first]:.3g} s, {t[first]:.4g} s after the start, {far:.3g} m by the velocities"
             out.append(Line("fixes", "odd", text))
             break
     off = np.linalg.norm(moved - said, axis=1)
@@ -369,7 +371,7 @@ def slow_scatter(gnss: GnssRecord) -> float:
     )
     rest = place - np.column_stack([np.interp(t, own.t, c) for c in sums.T])
     edges = every(t, SLOW_S)
-    spread = [float(rest[a:b].std(axis=0).max()) for a, b in zip(edges, edges[1:], strict=False) if b - a > 4]
+    spread = [float(rest[a:b].std(axis=0).max()) for a, b in itertools.pairwise(edges) if b - a > 4]
     return float(np.median(spread)) if spread else np.nan
 
 

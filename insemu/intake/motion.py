@@ -260,7 +260,7 @@ def turn_of(imu: ImuRecord, track: Track) -> Turn | None:
 
 
 def turns(imu: ImuRecord, track: Track, shift: float) -> tuple[Array, Array, Array]:
-    """Change of course in each interval (n,), the integral of the rates over it (n, 3), both times the speed, m/s, and the interval's weighted length.
+    """Changes of course (n,) and the integrals of the rates over the same intervals (n, 3), both times the speed, m/s; the intervals, s times m/s.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from insemu.errors import InputError
 from insemu.intake.card import Level, Line
-from insemu.intake.explained import DECLARED, Explained, Reading, Windows
+from insemu.intake.explained import Explained, Reading, Windows
 from insemu.units import scaled_unit
 
 Array = NDArray[np.float64]

@@ -64,8 +64,8 @@ class Layout:
         """A layout from its declaration."""
         given = dict(content)
         messages = tuple(Message(**{**m, "names": tuple(m["names"])}) for m in given.pop("messages", ()))
-        lists = {k: tuple(given.pop(k, ())) for k in ("optional", "sexagesimal")}
-        return cls(messages=messages, **lists, **given)
+        optional, sexagesimal = (tuple(given.pop(k, ())) for k in ("optional", "sexagesimal"))
+        return cls(messages=messages, optional=optional, sexagesimal=sexagesimal, **given)
 
     @cached_property
     def _known(self) -> re.Pattern[str]:
@@ -167,7 +167,7 @@ def _cells(line: str, separator: str | None) -> list[str]:
 
 
 def _number(cell: str) -> bool:
-    return np.isfinite(_value(cell.strip('"')))
+    return bool(np.isfinite(_value(cell.strip('"'))))
 
 
 def _value(cell: str) -> float:
@@ -206,5 +206,5 @@ def _degrees(degrees: Array, minutes: Array, seconds: Array) -> Array:
 
 
 for _path in sorted((Path(__file__).parents[1] / "layouts").glob("*.yaml")):
-    _layout = Layout.of(yamlfile.read(_path).data)  # type: ignore[arg-type]
+    _layout = Layout.of(yamlfile.read(_path).data)
     register(Reader(_layout.name, _layout.is_one, _layout.read, rank=3))
