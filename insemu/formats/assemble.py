@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from insemu import earth, rotation
 from insemu.errors import InputError
 from insemu.formats import clocks
+from insemu.formats.axes import axes_matrix, axis_order
 from insemu.formats.columns import ROLES, UNIT_SETTING, ColumnMap, guessed_line, resolve
+from insemu.formats.places import DIGITS, check_latitude, digits, place_unit
 from insemu.formats.table import Table
 from insemu.records import GnssRecord, ImuKind, ImuRecord, Trajectory
 from insemu.sample_times import continuous, in_order, sample_times
@@ -22,8 +24,6 @@ from insemu.units import parse, parse_unit, scaled_unit
 
 Array = NDArray[np.float64]
 
-#: Latitudes and longitudes whose digits are degrees and minutes.
-DIGITS = ("ddmm", "dd.mm")
 #: Unit that a column without one is taken to have where it is not SI.
 _USUAL = {"lat": "deg", "lon": "deg", "course": "deg", "rpy": "deg", "roll": "deg", "pitch": "deg", "heading": "deg"}
 #: Standard deviation (horizontal, m) that a quality of fix stands for where the receiver states none.
@@ -102,7 +102,7 @@ def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
         return None
     values: dict[str, Array] = {}
     integrals = []
-    places = _place_unit(used, table, names)
+    places = place_unit(used, table, names)
     if places and "pos_unit" not in used.settings:
         story.assumed.append(f"latitude and longitude in {places}: as degrees they would be beyond 90 and 180")
     for role in roles:
@@ -115,7 +115,7 @@ def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
             if role in ("lat", "lon"):
                 unit = places or unit
                 if unit in DIGITS:
-                    column[:], unit = _digits(table.columns[names[k]], unit), "deg"
+                    column[:], unit = digits(table.columns[names[k]], unit), "deg"
                     np.multiply(column, np.pi / 180.0 * pick.sign, out=column)
                     units.append(unit)
                     found.append(("-" if pick.sign < 0 else "") + names[k])
@@ -141,32 +141,6 @@ def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
     t, said = continuous(t, unit_s)
     story.notes += [f"{where}: {text}" for text in said]
     return Columns(table, start, t, values, kind, used.settings)
-
-
-def _place_unit(used: ColumnMap, table: Table, names: list[str]) -> str:
-    """Unit of latitude and longitude: as said; where nobody says, that of numbers which are none in degrees; "" for the one that is stated."""
-    if "pos_unit" in used.settings:
-        return used.settings["pos_unit"]
-    if not {"lat", "lon"} <= set(used.picks):
-        return ""
-    found = [resolve(r, used.picks[r], names, table.name)[0] for r in ("lat", "lon")]
-    if any(pick.unit is not None or table.units.get(names[k]) for k, pick in found):
-        return ""
-    lat, lon = (np.abs(np.asarray(table.columns[names[k]], dtype=np.float64)) for k, _ in found)
-    largest = float(np.nanmax(lat, initial=0.0))
-    if largest <= 90.0 or not np.isfinite(largest):
-        return ""
-    if largest > 1e6 and float(np.nanmax(lon, initial=0.0)) <= 1.8e9:
-        return "1e-7 deg"
-    minutes = all(bool((np.mod(v[np.isfinite(v)], 100.0) < 60.0).all()) for v in (lat, lon))
-    return "ddmm" if largest <= 9000.0 and float(np.nanmax(lon, initial=0.0)) <= 18000.0 and minutes else ""
-
-
-def _digits(values: NDArray[Any], unit: str) -> Array:
-    """Degrees of numbers whose digits are degrees and minutes (NMEA's ``ddmm.mmmm``), or whose decimals are (``dd.mmmmmm``)."""
-    v = np.abs(np.asarray(values, dtype=np.float64)) / (100.0 if unit == "ddmm" else 1.0)
-    whole = np.trunc(v + 1e-12)
-    return np.asarray(np.copysign(whole + (v - whole) / 0.6, values))
 
 
 def _given(table: Table, user: ColumnMap) -> ColumnMap:
@@ -301,60 +275,6 @@ def _timed(t: Array, values: Array, story: Story, what: str, *, imu: bool = Fals
     return found.rows, found.t
 
 
-_LETTERS = {"F": (0, 1.0), "B": (0, -1.0), "R": (1, 1.0), "L": (1, -1.0), "D": (2, 1.0), "U": (2, -1.0)}
-_NAMED = {"ENU": "RFU", "NED": "FRD", "NWU": "FLU", "SELF": "FRD"}
-
-
-def axes_matrix(letters: str) -> Array:
-    """Matrix that takes vectors of axes such as ``FLU`` to forward-right-down.
-
-    Raises
-    ------
-    InputError
-        Not three letters of three directions, or a left-handed set.
-
-    Examples
-    --------
-    >>> axes_matrix("FLU").tolist()
-    [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
-    """
-    text = _NAMED.get(letters.upper(), letters.upper())
-    if len(text) != 3 or any(c not in _LETTERS for c in text) or len({_LETTERS[c][0] for c in text}) != 3:
-        raise InputError(f"axes are '{letters[:20]}', expected three letters such as FRD, FLU or RFU")
-    matrix = np.zeros((3, 3))
-    for column, letter in enumerate(text):
-        row, sign = _LETTERS[letter]
-        matrix[row, column] = sign
-    if np.linalg.det(matrix) < 0:
-        raise InputError(f"axes '{letters}' are left-handed; turn an axis round instead (--map 'gyro_axes=x y -z')")
-    return matrix
-
-
-def axis_order(text: str, where: str) -> Array:
-    """Matrix that puts columns into an order such as ``y x -z``: row k picks the column of axis k.
-
-    Parameters
-    ----------
-    text : str
-    where : str
-        Place, for the message.
-
-    Raises
-    ------
-    InputError
-        Not x, y and z once each, each with a sign or without.
-    """
-    words = text.split()
-    if sorted(w.removeprefix("-") for w in words) != ["x", "y", "z"]:
-        raise InputError(
-            f"the order of axes is '{text[:40]}', expected x, y and z once each, such as y -x z", where=where
-        )
-    matrix = np.zeros((3, 3))
-    for row, word in enumerate(words):
-        matrix[row, "xyz".index(word[-1])] = -1.0 if word.startswith("-") else 1.0
-    return matrix
-
-
 def _mounting(settings: Mapping[str, str], where: str) -> Array | None:
     """Matrix from the file's IMU axes to vehicle axes, from ``axes`` and ``mount``."""
     matrix = axes_matrix(settings["axes"]) if settings.get("axes") else None
@@ -482,7 +402,7 @@ def positions(part: Columns, story: Story) -> Array | None:
         first, second = ("lon", "lat") if part.settings.get("latlon") == "swapped" else ("lat", "lon")
         east = -v[second] if part.settings.get("latlon") == "west" else v[second]
         llh = np.column_stack([v[first], east, height])
-        _check_latitude(llh, part)
+        check_latitude(llh, part.table.name)
         return llh
     if "ecef" in v:
         import pymap3d
@@ -503,18 +423,6 @@ def positions(part: Columns, story: Story) -> Array | None:
             f"the local coordinates of {part.table.name} begin at 0 deg N, 0 deg E, 0 m (--map 'origin=48.1 11.5 500' says where)"
         )
     return np.asarray(earth.ned_to_llh(local, given * [np.pi / 180, np.pi / 180, 1.0]))
-
-
-def _check_latitude(llh: Array, part: Columns) -> None:
-    largest = np.nanmax(np.abs(llh[:, 0]), initial=0.0)
-    if largest <= np.pi / 2 + 1e-12:
-        return
-    degrees = np.rad2deg(largest)
-    raise InputError(
-        f"a latitude of {degrees:.6g} deg is beyond 90: another unit (the setting pos_unit: deg, rad, 1e-7 deg, ddmm), or latitude and longitude "
-        "swapped (latlon=swapped)",
-        where=part.table.name,
-    )
 
 
 def _velocity(part: Columns) -> Array | None:

@@ -193,7 +193,11 @@ def open_files(
     if gnss_part is not None and gnss_part is not truth_part:
         with decoding((fixes or main).path, (fixes or main).reader.name):
             gnss_part, origin = _on_clock(gnss_part, origin, story)
-            gnss_record = gnss_of(gnss_part, story)
+            try:
+                gnss_record = gnss_of(gnss_part, story)
+            except InputError as error:  # a setting of the fixes belongs to their file
+                said = error.message if fixes is None else error.message.replace("--map ", "--gnss-map ")
+                raise InputError(said, where=error.where) from None
     if truth_part is not None:
         with decoding((reference or main).path, (reference or main).reader.name):
             truth_part, origin = _on_clock(truth_part, origin, story)

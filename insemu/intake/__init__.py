@@ -12,7 +12,7 @@ import numpy as np
 
 from insemu import formats
 from insemu.formats import Log, Opened, start_said
-from insemu.intake import checks, tried
+from insemu.intake import checks, receiver, tried
 from insemu.intake import fixes as fixed
 from insemu.intake.card import Card, Level, Line
 from insemu.intake.fixes import vehicle_axes
@@ -62,12 +62,12 @@ def _examined(data: Opened, kind: str) -> Card:
     lines += [Line("start", "ok", text) for text in [start_said(data.origin)] if text]
     lines += [Line("done", "odd" if "left out" in text else "ok", text) for text in data.notes]
     unstated = {role for role in ("gyro", "accel", "vel") for a in data.assumed if a.startswith(role)}
-    found = fixed.agreement(data.gnss) if data.gnss is not None else None
+    found = receiver.agreement(data.gnss) if data.gnss is not None else None
     if data.imu is not None:
         lines += _imu_lines(data, data.imu, found, unstated)
     if data.gnss is not None:
         opposite = fixed.upright(data.imu, data.gnss, found) if data.imu is not None else 0.0
-        lines += fixed.fixes(data.gnss, found, "vel" in unstated, opposite)
+        lines += receiver.fixes(data.gnss, found, "vel" in unstated, opposite)
     if data.reference is not None:
         t = data.reference.t
         lines.append(
@@ -90,7 +90,7 @@ def _aid_line(aid: AidRecord) -> Line:
     return Line(aid.kind, "ok", f"{len(aid)} measurements{rate}, stated standard deviations {sigma} (SI, median)")
 
 
-def _imu_lines(data: Opened, imu: ImuRecord, found: fixed.Agreement | None, unstated: set[str]) -> list[Line]:
+def _imu_lines(data: Opened, imu: ImuRecord, found: receiver.Agreement | None, unstated: set[str]) -> list[Line]:
     counts = {"repeated": data.repeated, "missing": data.missing}
     lines = checks.timing(imu.t, counts) + checks.repeats(imu) + checks.columns(imu)
     push, gnss = None, data.gnss

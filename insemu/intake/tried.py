@@ -29,6 +29,8 @@ ORDER = (
     "columns",
     "order of rows",
 )
+#: Topics of which an odd finding leaves no reading right.
+CONTRADICT = ("fixes", "velocity", "heights", "specific force", "motion", "angular rate", "columns", "order of rows")
 
 
 def settings_of(line: Line) -> dict[str, str]:
@@ -67,7 +69,7 @@ def tried(data: Opened, examined: Callable[[Opened], Card]) -> Card:
                     break
                 settings = {**(settings or {}), **asked}
                 after = _card(again.read, settings, examined)
-            if after is not None and not after.of("wrong"):
+            if after is not None and _clean(after):
                 first = min(card.of("wrong"), key=_rank)
                 given[id(first)] = again.options(settings or {})
         else:
@@ -78,6 +80,11 @@ def tried(data: Opened, examined: Callable[[Opened], Card]) -> Card:
     return replace(
         card, lines=tuple(replace(x, mend=given.get(id(x), "")) if settings_of(x) else x for x in card.lines)
     )
+
+
+def _clean(card: Card) -> bool:
+    """Whether nothing is left that contradicts another thing; the mounting and what was lost are no contradiction."""
+    return not card.of("wrong") and not any(x.topic in CONTRADICT for x in card.of("odd"))
 
 
 def _rank(line: Line) -> int:

@@ -94,7 +94,15 @@ def better(a: Explained, b: Explained) -> bool:
 
 
 def units_of(factor: float, declared: str, units: Iterable[str]) -> list[str]:
-    """The units whose size is the declared one's times a factor; none where the declared one is no unit."""
+    """The units whose size is the declared one's times a factor; none where the declared one is no unit.
+
+    Parameters
+    ----------
+    factor : float
+    declared : str
+    units : iterable of str
+        Those that are asked.
+    """
     try:
         size = scaled_unit(declared).factor * factor
     except InputError:
@@ -372,7 +380,7 @@ class Weighing:
     def _rival(self, best: list[Named], left: str) -> Line:
         means = [n.means for n in best]
         what = means[0] if len(best) == 1 else "one of these, which nothing here tells apart: " + "; or ".join(means)
-        plain = best[0].found.total - self.declared.total > PLAIN
+        plain = best[0].found.total - self.declared.total > PLAIN and "gnss_shift" not in best[0].settings
         level: Level = "wrong" if plain or not self.explains(self.declared) else "odd"
         text = f"{left}, {best[0].found.rms:.2g} m/s if {what}"
         return Line("motion", level, text, best[0].command if len(best) == 1 else "")
