@@ -14,9 +14,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu.drives.loudness import levels_of
 from insemu.drives.sideslip import Sideslip, sideslip_of
 from insemu.drives.windows import (
     CLIMBING,
+    EDGES,
     REGIMES,
     USABLE,
     WINDOW_S,
@@ -28,7 +30,17 @@ from insemu.drives.windows import (
     spectra,
     within,
 )
-from insemu.emulate import VEHICLES, MotionSpectrum, Moving, MovingVehicle, Regime, Slip, Track, ideal_imu, smooth_track
+from insemu.emulate import (
+    VEHICLES,
+    MotionSpectrum,
+    Moving,
+    MovingVehicle,
+    Regime,
+    Slip,
+    Track,
+    ideal_imu,
+    smooth_track,
+)
 from insemu.errors import InputError
 from insemu.filters import with_standard_deviations
 from insemu.noise import WN, NoiseModel
@@ -43,12 +55,6 @@ LOWEST, CELLS = 0.4, 4
 FEWEST = 7
 #: Least share of a density that is taken for the vehicle's; below it the sensor's noise hides it.
 HIDDEN = 0.02
-#: Up to this frequency, Hz, a driver and the springs move a vehicle, above it the ground, the air and the engine do: each with a loudness of its own.
-DRIVING_HZ = 3.0
-#: Windows from which on each of them has two parts; steps of the climb to their likeliest sizes.
-PARTS_FROM, ITERATIONS = 20, 60
-#: Time constants of a swing that windows of four seconds tell, s, and the largest swing, nepers: beyond, a few windows are all of the power.
-SWINGS, LARGEST_SWING = (3.0, 30.0), 1.0
 #: Windows in a class of speeds, and its least width, m/s: spectra follow the speed, by wheels, shafts and the lengths of waves of a road.
 CLASS, NARROWEST = 30, 1.5
 #: Speeds below which a vehicle stands and above which it moves, m/s, and turns below which it goes straight and above which it turns, rad/s: ranges
@@ -132,21 +138,27 @@ def learn_vehicle(
     regime = regime_of(*motion)
     edges = cells(float(f[1]), USABLE * 0.5 / s.dt)
     inside = [(f >= low - 0.25 * f[1]) & (f < high - 0.25 * f[1]) for low, high in pairwise(edges)]
-    count = np.array([i.sum() for i in inside])
-    Y, Y_path = (
+    Y, known = (
         np.stack([np.einsum("wfi,wfj->wij", x[:, i], np.conj(x[:, i])) / i.sum() for i in inside], axis=1)
         for x in (z, z_path)
     )
-    quiet = np.stack([noise[i].mean(axis=0) for i in inside])
+    known = known + np.stack([noise[i].mean(axis=0) for i in inside])[:, :, None] * np.eye(6)
     found: list[Regime] = []
     seconds: dict[str, float] = {}
-    for word, rows, where in classes(regime, motion[0]):
+    of_class = list(classes(regime, motion[0]))
+    bands = np.array([e for e in (LOWEST, *EDGES[1:]) if e < 0.8 * edges[-1]] + [edges[-1]])
+    begins = np.diff(first, prepend=first[0] - length) != length // 2
+    levels, power = levels_of(
+        f, z, np.abs(z_path) ** 2 + noise, bands, motion, [rows for _, rows, _ in of_class], begins
+    )
+    band = np.clip(np.searchsorted(bands, np.sqrt(edges[:-1] * edges[1:])) - 1, 0, bands.size - 2)
+    for word, rows, where in of_class:
         if rows.sum() < FEWEST:
             unknown.append(f"{word}: {0.5 * WINDOW_S * rows.sum():.0f} s are too few, the nearest regime stands for it")
             continue
         seconds[word] = float(0.5 * WINDOW_S * rows.sum())
-        made, hidden = _regime(word, where, edges, Y[rows], Y_path[rows], quiet, count)
-        found += made
+        made, hidden = _regime(word, where, edges, Y[rows], known[rows], np.swapaxes(power[rows], 1, 2)[:, band])
+        found.append(made)
         unknown += hidden
     if not found:
         raise InputError("is too short to tell how its vehicle moves in any regime", where=recording.source)
@@ -158,7 +170,7 @@ def learn_vehicle(
     unknown += (
         ["sideslip: it flies, or turns too little at speed, so none is taken"] if slip is None else list(slip.unknown)
     )
-    spectrum = MotionSpectrum(rows_of(edges)[0], tuple(found), (), tuple(unknown))
+    spectrum = MotionSpectrum(rows_of(edges)[0], tuple(found), (), tuple(unknown), levels)
     mean = {a: WN(float(np.sqrt(0.5 * np.median(noise[:, k])))) for k, a in enumerate(AXES)}
     sensor = {a: models[a] if models and a in models else NoiseModel((m,)) for a, m in mean.items()}
     usual = Slip()
@@ -289,78 +301,46 @@ def classes(
 
 
 def _regime(
-    name: str,
-    where: Mapping[str, tuple[float, float]],
-    edges: Array,
-    Y: Complex,
-    Y_path: Complex,
-    noise: Array,
-    count: NDArray[np.int64],
-) -> tuple[list[Regime], list[str]]:
-    """The parts of a regime from spectral matrices (w, c, 6, 6) of its windows and their path, and what is hidden in it."""
-    many = len(Y)
+    name: str, where: Mapping[str, tuple[float, float]], edges: Array, Y: Complex, known: Complex, scale: Array
+) -> tuple[Regime, list[str]]:
+    """A regime from matrices (w, c, 6, 6) of its windows and of path and noise, and powers (w, c, 6); and what is hidden in it.
+
+    Coherences are means over windows divided by their powers, so loud windows count no more than others.
+    """
     power = np.einsum("wcii->wci", Y).real
-    known = np.einsum("wcii->wci", Y_path).real + noise
-    parts = 1 if many < PARTS_FROM else 2
-    driving = edges[1:] < DRIVING_HZ
-    C = np.zeros((2 * parts, *Y.shape[1:]), dtype=complex)
-    g, chance, rng = np.empty((many, 2 * parts)), np.empty((many, 2 * parts)), np.random.default_rng(1)
-    for k, own in enumerate((driving, ~driving)):
-        mine = slice(k * parts, (k + 1) * parts)
-        g[:, mine] = loudness(power[:, own], known[:, own], count[own], parts)
-        # what chance alone makes of a vehicle that is always as loud; ordinates under a Hann window count two thirds
-        degrees = count[own][:, None] / 1.5
-        steady = (np.maximum(power[:, own] - known[:, own], 0.0).mean(axis=0) + known[:, own]) * rng.gamma(
-            degrees, 1.0 / degrees, power[:, own].shape
-        )
-        chance[:, mine] = loudness(steady, known[:, own], count[own], parts)
-        C[mine, own] = matrices(Y[:, own], Y_path[:, own] + noise[own, :, None] * np.eye(6), g[:, mine])
+    left = power - np.einsum("wcii->wci", known).real
     floor = HIDDEN * power.mean(axis=0)
-    left = (power - known).mean(axis=0)
-    hidden = left < floor
-    # the likeliest matrices are those of the usual window; the mean power is that of all
-    size = np.sqrt(np.maximum(left, floor) / np.maximum(np.einsum("pcii->ci", C).real, 1e-3 * floor))
-    C = C * (size[:, :, None] * size[:, None, :])
-    out, cell = [], rows_of(edges)[1]
-    together, swings = _swings(g, chance)
-    for p, (sigma, time) in enumerate(swings):
-        density = np.einsum("cii->ci", C[p]).real
-        root = np.sqrt(np.maximum(density, 1e-6 * floor))
-        coherence = C[p] / (root[:, :, None] * root[:, None, :])
-        coherence[:, range(6), range(6)] = 1.0
-        # windows overlap by half, so half of them count; the loudness is one value a window
-        spread = np.sqrt((1.0 / count + np.expm1(4.0 * (sigma**2 + together[0] ** 2))) / (0.5 * many))
-        out.append(
-            Regime(
-                name + (f", part {p + 1}" if p else ""),
-                table(edges, density),
-                (0.5 * (coherence + np.conj(np.swapaxes(coherence, 1, 2))))[cell],
-                swing_sigma=sigma,
-                swing_time=time,
-                common_sigma=together[0],
-                common_time=together[1],
-                density_sigma=np.repeat(spread[cell][:, None], 6, axis=1),
-                **where,
-            )
-        )
+    hidden = left.mean(axis=0) < floor
+    root = np.sqrt(scale)
+    C = np.mean((Y - known) / (root[..., :, None] * root[..., None, :]), axis=0)
+    value, vector = np.linalg.eigh(0.5 * (C + np.conj(np.swapaxes(C, 1, 2))))
+    C = (vector * np.maximum(value, HIDDEN)[:, None, :]) @ np.conj(np.swapaxes(vector, 1, 2))
+    shape = np.sqrt(np.einsum("cii->ci", C).real)
+    coherence = C / (shape[:, :, None] * shape[:, None, :])
+    coherence[:, range(6), range(6)] = 1.0
+    density = np.maximum(left.mean(axis=0), floor)
+    # windows overlap by half, so half of them count
+    spread = np.maximum(power.std(axis=0) / density, 1e-3) / np.sqrt(0.5 * len(Y))
+    cell = rows_of(edges)[1]
+    regime = Regime(
+        name,
+        table(edges, density),
+        (0.5 * (coherence + np.conj(np.swapaxes(coherence, 1, 2))))[cell],
+        density_sigma=spread[cell],
+        **where,
+    )
     words = [
         f"{axis_name(a)} {' and '.join(f'{x:.2g} to {y:.2g}' for x, y in _stretches(edges, hidden[:, a]))} Hz"
         for a in range(6)
         if hidden[:, a].any()
     ]
-    return out, [f"{name}, hidden by the path or the noise: {', '.join(words)}"] if words else []
+    return regime, [f"{name}, hidden by the path or the noise: {', '.join(words)}"] if words else []
 
 
 def rows_of(edges: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Frequencies of the rows of a table, and the cell that each shows: middles, the outer edges, and both sides of :data:`DRIVING_HZ`."""
-    centres = np.sqrt(edges[:-1] * edges[1:])
-    cell = np.arange(centres.size)
-    split = int(np.sum(edges[1:] < DRIVING_HZ))
-    f = np.concatenate(
-        [edges[:1], centres[:split], edges[split] * np.array([0.999, 1.001]), centres[split:], edges[-1:]]
-    )
-    at = np.concatenate([cell[:1], cell[:split], [max(split - 1, 0), split], cell[split:], cell[-1:]])
-    return f, at
+    """Frequencies of the rows of a table, and the cell that each shows: middles and the outer edges."""
+    centres, cell = np.sqrt(edges[:-1] * edges[1:]), np.arange(edges.size - 1)
+    return np.concatenate([edges[:1], centres, edges[-1:]]), np.concatenate([cell[:1], cell, cell[-1:]])
 
 
 def table(edges: Array, density: Array) -> Array:
@@ -383,115 +363,6 @@ def table(edges: Array, density: Array) -> Array:
     return np.asarray(np.where(density > 0.0, out, 0.0)[cell])
 
 
-def loudness(power: Array, known: Array, count: NDArray[np.int64], parts: int) -> Array:
-    """How loud each part is in each window (w, parts), mean 1, from powers (w, c, 6) beside known ones.
-
-    Parts are spectra whose sum with own loudnesses explains the windows best: road and driving, engine and wind come and go each by itself.
-
-    Parameters
-    ----------
-    power, known : (w, c, 6) arrays
-    count : (c,) array
-        Ordinates of each cell.
-    parts : int
-
-    Notes
-    -----
-    Factorization by the Itakura-Saito divergence, which is the likelihood of Gaussian signals (Fevotte, Bertin and Durrieu 2009), by
-    multiplicative updates.
-    """
-    many, _, axes = power.shape
-    V, K = power.reshape(many, -1), known.reshape(many, -1)
-    weight = np.repeat(count, axes).astype(np.float64)
-    mean = np.maximum(V - K, HIDDEN * V).mean(axis=0)
-    logs = np.log(np.maximum(V - K, HIDDEN * V))
-    shape = logs - logs.mean(axis=1, keepdims=True)
-    shape -= shape.mean(axis=0)
-    # they begin as the windows that differ most in shape, whatever their loudness
-    along = np.linalg.svd(shape, full_matrices=False)[0][:, : max(parts - 1, 1)]
-    start = (
-        [along[:, 0].argsort(), (-along[:, 0]).argsort(), (-along[:, -1]).argsort()][:parts]
-        if parts > 1
-        else [np.arange(many)]
-    )
-    chosen = [x[: max(3, many // 5)] if parts > 1 else x for x in start]
-    D = np.stack([mean * np.exp(shape[x].mean(axis=0)) for x in chosen]) / parts
-    g = np.ones((many, parts))
-    for _ in range(ITERATIONS):
-        R = g @ D + K
-        g *= np.sqrt(((weight * V / R**2) @ D.T) / ((weight / R) @ D.T))
-        R = g @ D + K
-        D *= np.sqrt((g.T @ (V / R**2)) / (g.T @ (1.0 / R)))
-        scale = g.mean(axis=0)
-        g, D = np.maximum(g / scale, 1e-4), D * scale[:, None]
-    return np.asarray(g)
-
-
-def matrices(Y: Complex, known: Complex, g: Array) -> Complex:
-    """Spectral matrices (parts, c, 6, 6) of parts with loudnesses (w, parts) whose sum with known ones makes those (w, c, 6, 6) likeliest.
-
-    Parameters
-    ----------
-    Y, known : (w, c, 6, 6) complex arrays
-    g : (w, parts) array
-
-    Notes
-    -----
-    Expectation and maximization for sums of Gaussian vectors with loudnesses of their own (Duong, Vincent and Gribonval 2010, section IV).
-    """
-    whole = Y.mean(axis=0)
-    eye = np.eye(6)
-    diagonal = np.einsum("cii->ci", whole).real[:, :, None] * eye
-    C = np.repeat((0.9 * whole + 0.1 * diagonal)[None] / g.shape[1], g.shape[1], axis=0)
-    for _ in range(ITERATIONS // 2):
-        own = g.T[:, :, None, None, None] * C[:, None]
-        inverse = np.linalg.inv(own.sum(axis=0) + known + 1e-6 * diagonal)
-        new = []
-        for p in range(g.shape[1]):
-            W = own[p] @ inverse
-            felt = W @ Y @ np.conj(np.swapaxes(W, -1, -2)) + (eye - W) @ own[p]
-            new.append((felt / g[:, p, None, None, None]).mean(axis=0))
-        C = np.stack(new)
-        C = 0.5 * (C + np.conj(np.swapaxes(C, -1, -2)))
-    return np.asarray(C)
-
-
 def _stretches(edges: Array, inside: NDArray[np.bool_]) -> list[tuple[float, float]]:
     turns = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(np.int8), [0]]))).reshape(-1, 2)
     return [(float(edges[a]), float(edges[b])) for a, b in turns]
-
-
-def _swings(g: Array, chance: Array) -> tuple[tuple[float, float], list[tuple[float, float]]]:
-    """What all parts swing together, and each by itself: standard deviation (nepers of amplitude) and time (s), of loudnesses (w, parts) of mean 1.
-
-    Windows overlap by half. Of a lognormal loudness the mean is above the median by ``exp(2 sigma^2)``, which gives the size: what a part does when
-    it is all but away does not matter. ``chance`` is what loudnesses look like where there is no swing.
-    """
-    (y, size, shared), (_, own_size, own_shared) = (_sizes(x) for x in (g, chance))
-    together, size = y.mean(axis=1), np.maximum(size - own_size, 0.0)
-    shared = max(0.0, min(shared - own_shared, float(size.mean())))
-    own = [_slow(y[:, p] - together, float(np.sqrt(max(size[p] - shared, 0.0)))) for p in range(y.shape[1])]
-    return _slow(together, float(np.sqrt(shared))), own
-
-
-def _sizes(g: Array) -> tuple[Array, Array, float]:
-    """Logarithms of amplitudes about their medians (w, parts), squares of the standard deviations (parts,), and what parts share of them."""
-    y = 0.5 * np.log(g)
-    low, middle, high = np.quantile(y, [0.1, 0.5, 0.9], axis=0)
-    y = np.clip(y, middle - 2.0 * (middle - low), middle + 2.0 * (high - middle)) - middle
-    return y, np.maximum(-middle, 0.0), float(np.cov(y.T)[~np.eye(y.shape[1], dtype=bool)].mean())
-
-
-def _slow(y: Array, sigma: float) -> tuple[float, float]:
-    """Standard deviation and time of a slow process that shows this standard deviation in means over windows."""
-    if sigma < 0.05 or y.size < 8:
-        return 0.0, 5.0
-    y = y - y.mean()
-    # autocorrelation (1 + x) exp(-x), x = lag over time, two windows apart so that none overlap
-    r = float(np.mean(y[2:] * y[:-2]) / np.mean(y**2))
-    tried = np.geomspace(WINDOW_S / SWINGS[1], WINDOW_S / SWINGS[0], 200)
-    x = float(tried[np.argmin(np.abs((1.0 + tried) * np.exp(-tried) - r))])
-    # a window shows the mean over it, which swings less
-    u = np.linspace(0.0, 1.0, 100)
-    kept = 2.0 * float(np.mean((1.0 - u) * (1.0 + x * u) * np.exp(-x * u)))
-    return min(sigma / float(np.sqrt(kept)), LARGEST_SWING), WINDOW_S / x

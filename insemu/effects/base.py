@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from insemu.effects.chain import Chain, FixErrors
     from insemu.effects.hiding import DriveLot, Hidden, RestLot
     from insemu.effects.motion import AntennaMotion, Column, FixGeometry, Motion
+    from insemu.effects.terms import Signals
     from insemu.records import AidRecord, GnssRecord, ImuRecord, Trajectory
 
 Array = NDArray[np.float64]
@@ -54,6 +55,7 @@ ASPECTS: tuple[Aspect, ...] = ("emulate", "compensate", "signature", "candidate"
 #: outlying   : some fixes or measurements are far off, and which ones is nobody's to know beforehand: a filter gates them
 #: filled     : takes samples, in whose place others are put from those around them
 #: widened    : a filter without states for it widens what it believes; a search carries it in its model
+#: equation   : what it is is an equation, its place as well: several of one sensor may stand side by side
 #: evident    : read off the samples or beside a recorded signal: nothing unexplained can stand in for it
 Trait = Literal[
     "slow",
@@ -69,6 +71,7 @@ Trait = Literal[
     "outlying",
     "filled",
     "widened",
+    "equation",
     "evident",
 ]
 #: Columns that are tried together: axes, label, their places among the effect's columns.
@@ -271,7 +274,7 @@ class Effect:
         raise NotImplementedError(self.id)
 
     def omitted(
-        self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64]
+        self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64], signals: Signals
     ) -> tuple[Array | None, Array | None]:
         """What the rate and the specific force lack, (n, 3) in body axes each, or None.
 
@@ -281,6 +284,8 @@ class Effect:
         trajectory : Trajectory
         rows : (n,) array of int
             Rows of the trajectory.
+        signals : Signals
+            Time, rate, specific force and temperature of the IMU, (n,) each.
         """
         raise NotImplementedError(self.id)
 
@@ -376,6 +381,10 @@ class Effect:
             out.append((tuple(dict.fromkeys(a for c in columns for a in c.axes)), "all", list(range(len(columns)))))
         return out
 
+    def odds(self, column: Column) -> float:
+        """How common one of its columns is among them: 1, or less."""
+        return 1.0
+
     # -- refine: how two finds become one -----------------------------------------------------------------------------------------------
 
     @property
@@ -393,7 +402,7 @@ class Effect:
             if not p.join or (p.join == "equal" and not np.array_equal(a, b)):
                 return None
             values[p.name] = tuple(float(x) for x in _JOINED[p.join](a, b))
-        return EffectUse(self.id, old.sensor, values)
+        return EffectUse(self.id, old.sensor, values, old.equation)
 
     # -- trial: how it is hidden ---------------------------------------------------------------------------------------------------------
 
@@ -451,6 +460,8 @@ class EffectUse:
         ``gyro``, ``accel``, ``imu``, ``gnss``, or an aid: ``odometer``, ``barometer``, ``heading``.
     values : mapping of str to tuple of float
         Every parameter in SI, with as many numbers as the table says.
+    equation : str
+        Of an effect that is one: what its error is proportional to (:func:`insemu.effects.terms.equation`); empty for the others.
 
     Raises
     ------
@@ -461,10 +472,12 @@ class EffectUse:
     id: str
     sensor: str
     values: Mapping[str, tuple[float, ...]]
+    equation: str = ""
 
     def __post_init__(self) -> None:
         effect = effect_of(self.id)
         _check_sensor(effect, self.sensor)
+        object.__setattr__(self, "equation", _equation(effect, self.equation, self.sensor))
         for name in self.values:
             effect.parameter(name)
         object.__setattr__(
@@ -511,10 +524,13 @@ class EffectUse:
             sensor = effect.sensors[0]
         _check_sensor(effect, sensor)
         axes = given.pop("axes", None)
+        equation = _equation(effect, given.pop("equation", ""), sensor)
+        unit = _unit_of(equation, sensor)
         values: dict[str, tuple[float, ...]] = {}
         for name, quantity in given.items():
             p = effect.parameter(name)
-            numbers = _parsed(effect, p, quantity, sensor)
+            own = unit if equation and p.name == "value" else effect.unit(p.name, sensor)
+            numbers = _parsed(effect, p, quantity, own)
             if axes is not None and p.size == 3 and len(numbers) == 1:
                 chosen = list(axes) if isinstance(axes, list | tuple) else [axes]
                 for axis in chosen:
@@ -522,11 +538,13 @@ class EffectUse:
                         raise InputError(f"effect '{effect.id}': unknown axis {shown(axis)} (expected x, y or z)")
                 numbers = tuple(numbers[0] if axis in chosen else 0.0 for axis in XYZ)
             values[name] = numbers
-        return cls(effect.id, sensor, values)
+        return cls(effect.id, sensor, values, equation)
 
     def to_mapping(self) -> dict[str, Any]:
         """Inverse of :meth:`from_mapping`, SI numbers."""
         out: dict[str, Any] = {"effect": self.id, "sensor": self.sensor}
+        if self.equation:
+            out["equation"] = self.equation
         for name, numbers in self.values.items():
             out[name] = numbers[0] if len(numbers) == 1 else list(numbers)
         return out
@@ -539,9 +557,33 @@ def _check_sensor(effect: Effect, sensor: Any) -> None:
         )
 
 
-def _parsed(effect: Effect, p: EffectParameter, quantity: Any, sensor: str) -> tuple[float, ...]:
+def _equation(effect: Effect, given: Any, sensor: str) -> str:
+    """The equation of an effect that is one, as it is written; empty of the others."""
+    from insemu.effects.terms import equation
+
+    if "equation" not in effect.traits:
+        if given:
+            raise InputError(
+                f"effect '{effect.id}' has the key 'equation', expected it of the effects 'expression' and 'expression_step' alone"
+            )
+        return ""
+    if not isinstance(given, str) or not given:
+        raise InputError(f"effect '{effect.id}' needs the key 'equation', such as 'east = speed'; found {shown(given)}")
+    try:
+        return equation(given, sensor).text
+    except InputError as error:
+        raise InputError(f"effect '{effect.id}', 'equation': {error.message}") from None
+
+
+def _unit_of(text: str, sensor: str) -> str:
+    """Unit of the coefficient of an equation, SI."""
+    from insemu.effects.terms import equation
+
+    return equation(text, sensor).unit if text else ""
+
+
+def _parsed(effect: Effect, p: EffectParameter, quantity: Any, unit: str) -> tuple[float, ...]:
     """Quantities as a file has them, in SI."""
-    unit = effect.unit(p.name, sensor)
     items: Sequence[Any] = quantity if isinstance(quantity, list | tuple) else [quantity]
     numbers = []
     for item in items:

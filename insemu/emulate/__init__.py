@@ -2,6 +2,7 @@
 
 from insemu.emulate.differenced import Differenced, difference
 from insemu.emulate.dynamics import (
+    Levels,
     MotionSpectrum,
     Mount,
     Moving,
@@ -40,6 +41,7 @@ __all__ = [
     "Flight",
     "Following",
     "IdealImu",
+    "Levels",
     "MotionSpectrum",
     "Mount",
     "Mounting",

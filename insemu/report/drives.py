@@ -96,25 +96,16 @@ def vehicle_rows(found: LearnedVehicle) -> Cells:
     """Header and rows: root mean squares of the vehicle's own motion by regime and axis, with standard deviations."""
     spectrum = found.vehicle.spectrum
     rows = []
-    for name, seconds in found.seconds.items():
-        parts = [k for k, r in enumerate(spectrum.regimes) if r.name == name or r.name.startswith(f"{name}, part ")]
+    for k, r in enumerate(spectrum.regimes):
         for a, axis in enumerate(AXES):
             size, unit = unit_of(a)
             cells = []
             for low, high in SHOWN:
-                power = np.array([spectrum.rms(k, low, high)[a] ** 2 for k in parts])
-                f = spectrum.frequencies
-                inside = (f >= low) & (f <= high)
-                share = [
-                    np.sqrt(np.mean(r.density_sigma[inside, a] ** 2) / 2.0)
-                    if r.density_sigma is not None and inside.any()
-                    else 0.0
-                    for r in (spectrum.regimes[k] for k in parts)
-                ]
-                total = float(power.sum())
-                off = 0.5 * float(np.sqrt(np.sum((np.array(share) * power) ** 2))) / max(total, 1e-30)
-                cells.append(f"{np.sqrt(total) / size:.3g} +- {100 * off:.0f} %" if inside.any() else "")
-            rows.append([name, f"{seconds:.0f} s", axis, unit, *cells])
+                inside = (spectrum.frequencies >= low) & (spectrum.frequencies <= high)
+                share = 0.0 if r.density_sigma is None else np.sqrt(np.mean(r.density_sigma[inside, a] ** 2))
+                rms = spectrum.rms(k, low, high)[a] / size
+                cells.append(f"{rms:.3g} +- {50 * share:.0f} %" if inside.any() else "")
+            rows.append([r.name, f"{found.seconds[r.name]:.0f} s", axis, unit, *cells])
     return ["regime", "seen", "axis", "unit", *(f"{a:g} to {b:g} Hz" for a, b in SHOWN)], rows
 
 
@@ -129,9 +120,8 @@ def vehicle_lines(found: LearnedVehicle) -> list[str]:
         )
     if found.vehicle.jerk is not None:
         out.append(f"jerk density of its path {found.vehicle.jerk:g} m/s^3 per sqrt(Hz)")
-    out += [
-        f"{r.name}: loudness swings by {8.686 * r.common_sigma:.1f} dB within {r.common_time:.0f} s"
-        for r in found.vehicle.spectrum.regimes
-        if r.common_sigma and r.name in found.seconds
-    ]
+    levels = found.vehicle.spectrum.levels
+    if levels is not None:
+        spread = float(np.sqrt(np.mean(np.var(levels.log, axis=0)))) * 10.0 / np.log(10.0)
+        out.append(f"levels of bands and axes spread by {spread:.1f} dB over {len(levels.motion)} moments")
     return out + [f"cannot tell: {text}" for text in found.vehicle.spectrum.unknown]

@@ -2,6 +2,7 @@
 
 from insemu.emulate.dynamics.blocks import Mount
 from insemu.emulate.dynamics.files import MovingVehicle, read_vehicle, vehicle_text
+from insemu.emulate.dynamics.levels import Levels
 from insemu.emulate.dynamics.presets import preset_file, presets
 from insemu.emulate.dynamics.shaken import BodyMotion, Moving, shaken
 from insemu.emulate.dynamics.slip import Slip
@@ -10,6 +11,7 @@ from insemu.emulate.dynamics.spectrum import Line, MotionSpectrum, Regime, weigh
 
 __all__ = [
     "BodyMotion",
+    "Levels",
     "Line",
     "MotionSpectrum",
     "Mount",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,10 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: Children of a seed.
-STREAMS = {"block": 0, "swing": 1, "wander": 2, "phase": 3, "slip": 4}
+STREAMS = {"block": 0, "swing": 1, "wander": 2, "phase": 3, "slip": 4, "level": 5}
+#: What makes up displacement and turn where axes have levels of their own: the axis whose level each has, and the column to which it adds. Forces
+#: displace, pitch and roll displace against the gravity that they show, and rates turn.
+OWN, ADDS = np.array([3, 4, 5, 1, 0, 0, 1, 2]), np.array([0, 1, 2, 0, 1, 3, 4, 5])
 
 
 @dataclass(frozen=True)
@@ -66,8 +70,14 @@ class Blocks:
 
     def __init__(self, spectrum: MotionSpectrum, hop: int, rate: float, seed: int, mount: Mount | None) -> None:
         self.spectrum, self.hop, self.rate, self.seed, self.mount = spectrum, hop, rate, seed, mount
-        self._parts = spectrum.parts
-        self._held: OrderedDict[int, tuple[dict[int, Complex], dict[int, Array]]] = OrderedDict()
+        levels = spectrum.levels
+        bands = 1 if levels is None else levels.edges.size - 1
+        self.own, self.adds = (
+            (np.arange(6), np.arange(6)) if levels is None else (np.tile(OWN, bands), np.tile(ADDS, bands))
+        )
+        if levels is not None:  # levels are sorted by axes, then by bands
+            self.own = self.own * bands + np.repeat(np.arange(bands), OWN.size)
+        self._held: OrderedDict[int, tuple[Complex, dict[int, Array]]] = OrderedDict()
         self._factors: dict[int, Complex] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -95,18 +105,39 @@ class Blocks:
         """From white numbers to coefficients, (bins, 6, 6), of a regime."""
         if regime not in self._factors:
             f = self._frequencies
-            factor = self.spectrum.factors(regime, f) * np.sqrt(self.hop * self.rate)  # of one-sided densities
-            self._factors[regime] = np.stack([self.moved(factor[:, :, j], f) for j in range(6)], axis=2)
+            factor = self.spectrum.factors(regime, f)
+            made = self._columns(factor, f) if self.spectrum.levels is None else self._banded(factor, f)
+            self._factors[regime] = np.ascontiguousarray(
+                made * np.sqrt(0.5 * self.hop * self.rate)
+            )  # of one-sided densities
         return self._factors[regime]
+
+    def _columns(self, factor: Complex, f: Array) -> Complex:
+        """:meth:`moved` of every column of factors (bins, 6, 6)."""
+        return np.stack([self.moved(factor[:, :, j], f) for j in range(6)], axis=2)
+
+    def _banded(self, factor: Complex, f: Array) -> Complex:
+        """Factors (bins, channels, 6) of bands whose axes have a mean density of one each, before levels."""
+        assert self.spectrum.levels is not None
+        out = []
+        for low, high in pairwise(self.spectrum.levels.edges):
+            inside = ((f >= low) & (f < high))[:, None, None]
+            mean = np.sum(np.abs(factor * inside) ** 2, axis=(0, 2)) / max(int(inside.sum()), 1)
+            alike = factor * inside / np.sqrt(np.maximum(mean, 1e-300))[:, None]
+            turned, forced = alike.copy(), alike.copy()
+            turned[:, 3:], forced[:, :3] = 0.0, 0.0
+            by_turn, by_force = self._columns(turned, f), self._columns(forced, f)
+            out.append(np.concatenate([by_force[:, :3], by_turn[:, :2], by_turn[:, 3:]], axis=1))
+        return np.concatenate(out, axis=1)
 
     @cached_property
     def _window(self) -> Array:
         return np.asarray(np.sin(np.pi * (np.arange(2 * self.hop) + 0.5) / (2 * self.hop)))
 
     def half(self, number: int, regime: int, which: int) -> Array:
-        """Coefficients (6, hop) in body axes of one regime over the first or second half of a block.
+        """Coefficients (channels, hop) in body axes of one regime over the first or second half of a block.
 
-        Regimes share white numbers, so that one passes into another without a blow; parts of one have their own.
+        Regimes share white numbers, so that one passes into another without a blow.
 
         Parameters
         ----------
@@ -114,19 +145,15 @@ class Blocks:
         which : {0, 1}
         """
         if number not in self._held:
-            self._held[number] = {}, {}
+            rng = np.random.default_rng((self.seed, STREAMS["block"], number + (1 << 16)))
+            self._held[number] = rng.standard_normal((self._frequencies.size, 12)).view(np.complex128), {}
             while len(self._held) > 3:
                 self._held.popitem(last=False)
-        whites, held = self._held[number]
-        part = self._parts[regime]
-        if part not in whites:
-            rng = np.random.default_rng((self.seed, STREAMS["block"], number + (1 << 16), *([part] if part else [])))
-            whites[part] = rng.standard_normal((self._frequencies.size, 12)).view(np.complex128)
-        white = whites[part]
+        white, held = self._held[number]
         if regime not in held:
             from scipy.fft import irfft
 
-            bins = np.zeros((6, self.hop + 1), complex)
+            bins = np.zeros((self.adds.size, self.hop + 1), complex)
             _through(self._factor(regime), white, round(self._frequencies[0] * 2 * self.hop / self.rate), bins)
             held[regime] = irfft(bins, 2 * self.hop, axis=1, overwrite_x=True)
             held[regime] *= self._window
@@ -135,11 +162,10 @@ class Blocks:
 
 @njit(cache=True, nogil=True)
 def _through(factor: Complex, white: Complex, first: int, bins: Complex) -> None:
-    """Bins (6, n) from the ``first`` on: factors times white numbers of unit variance in both parts, over the root of two."""
+    """Bins (channels, n) from the ``first`` on: factors times white numbers of unit variance in both parts."""
     for k in range(len(factor)):
-        for i in range(6):
+        for i in range(len(bins)):
             total = 0.0j
-            # the factors of rates and forces are lower triangular: turns come from the first three, displacements from what is before them
-            for j in range(4 + i if i < 3 else i - 2):
+            for j in range(6):
                 total += factor[k, i, j] * white[k, j]
-            bins[i, first + k] = total * np.sqrt(0.5)
+            bins[i, first + k] = total

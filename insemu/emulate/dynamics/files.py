@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import yamlfile
+from insemu.emulate.dynamics.levels import Levels
 from insemu.emulate.dynamics.presets import preset_spectrum
 from insemu.emulate.dynamics.reading import Reader
 from insemu.emulate.dynamics.slip import SLIPS, Slip
@@ -53,8 +54,9 @@ class MovingVehicle:
 #: Keys of every part of a file.
 _HEAD = ("vehicle", "kind", "source", "jerk", "slip")
 _SLIP = ("sigma", "time", "axle", "compliance", "leeway")
-_LEARNED, _PRESET = ("frequencies", "regimes", "lines", "unknown"), ("fastest", "parts", "lines")
-_REGIME = ("speed", "turn", "climb", "density", "density_sigma", "coherence", "swing", "common_swing")
+_LEARNED, _PRESET = ("frequencies", "regimes", "lines", "levels", "unknown"), ("fastest", "parts", "lines")
+_REGIME = ("speed", "turn", "climb", "density", "density_sigma", "coherence", "swing")
+_LEVELS = ("edges", "step", "stretches")
 _LINE = ("name", "order", "rate", "per_metre", "amplitude", "phase", "wander")
 
 
@@ -134,7 +136,29 @@ def _spectrum(reader: Reader, top: Mapping[str, Any]) -> MotionSpectrum:
     unknown = tuple(
         reader.text(x, ("unknown", k)) for k, x in enumerate(reader.items(top.get("unknown", []), ("unknown",)))
     )
-    return reader.made((), lambda: MotionSpectrum(f, tuple(regimes), tuple(lines), unknown))
+    levels = _levels(reader, top["levels"]) if "levels" in top else None
+    return reader.made((), lambda: MotionSpectrum(f, tuple(regimes), tuple(lines), unknown, levels))
+
+
+def _levels(reader: Reader, value: Any) -> Levels:
+    place: Place = ("levels",)
+    got = reader.mapping(value, place, _LEVELS)
+    for key in _LEVELS:
+        if key not in got:
+            raise reader.fail(place, f"the key '{key}' is missing")
+    edges = np.array(reader.numbers(got["edges"], (*place, "edges")))
+    width = 3 + 6 * max(edges.size - 1, 0)
+    rows, begins = [], []
+    for k, stretch in enumerate(reader.items(got["stretches"], (*place, "stretches"))):
+        at = (*place, "stretches", k)
+        for j, row in enumerate(reader.items(stretch, at)):
+            rows.append(reader.numbers(row, (*at, j), width))
+            begins.append(j == 0)
+    if not rows:
+        raise reader.fail((*place, "stretches"), "found no rows, expected one at least")
+    x, step = np.array(rows), reader.number(got["step"], (*place, "step"))
+    log = np.log(10.0) * x[:, 3:].reshape(len(x), 6, -1)
+    return reader.made(place, lambda: Levels(edges, step, x[:, :3], log, np.array(begins)))
 
 
 def _regime(reader: Reader, name: str, value: Any, place: Place, m: int) -> Regime:
@@ -154,7 +178,6 @@ def _regime(reader: Reader, name: str, value: Any, place: Place, m: int) -> Regi
         coherence[:, i, j], coherence[:, j, i] = c, np.conj(c)
     ranges: dict[str, Any] = {k: reader.pair(got[k], (*place, k)) for k in ("speed", "turn", "climb") if k in got}
     swing = reader.slow(got["swing"], (*place, "swing")) if "swing" in got else (0.0, 5.0)
-    common = reader.slow(got["common_swing"], (*place, "common_swing")) if "common_swing" in got else (0.0, 5.0)
     return reader.made(
         place,
         lambda: Regime(
@@ -165,8 +188,6 @@ def _regime(reader: Reader, name: str, value: Any, place: Place, m: int) -> Regi
             swing_sigma=swing[0],
             swing_time=swing[1],
             density_sigma=sigma,
-            common_sigma=common[0],
-            common_time=common[1],
         ),
     )
 
@@ -207,7 +228,6 @@ def vehicle_text(vehicle: MovingVehicle) -> str:
         ):
             out += [f"    {key}: {_row(pair)}  # {unit}"] if pair != default else []
         out += [f"    swing: {_slow(r.swing_sigma, r.swing_time)}  # nepers, s"] if r.swing_sigma else []
-        out += [f"    common_swing: {_slow(r.common_sigma, r.common_time)}"] if r.common_sigma else []
         out += [f"    density:  # {', '.join(AXES)}; one-sided, (rad/s)^2/Hz and (m/s^2)^2/Hz, one row a frequency"]
         out += [f"      - {_row(row)}" for row in r.density]
         if r.density_sigma is not None:
@@ -234,8 +254,21 @@ def vehicle_text(vehicle: MovingVehicle) -> str:
             *(f"      {json.dumps(name)}: {_row(row)}" for name, row in x.amplitude.items()),
             f"    phase: {_row(x.phase)}",
         ]
+    out += [] if s.levels is None else _levels_text(s.levels)
     out += ["unknown:", *(f"  - {json.dumps(x)}" for x in s.unknown)] if s.unknown else []
     return "\n".join(out) + "\n"
+
+
+def _levels_text(levels: Levels) -> list[str]:
+    out = ["levels:", f"  edges: {_row(levels.edges)}  # Hz", f"  step: {_digits(levels.step)}  # s"]
+    out.append(
+        f"  stretches:  # speed m/s, turn rad/s, climb m/s, then log10 of the densities of the bands of {', '.join(AXES)}"
+    )
+    rows = np.hstack([levels.motion, (levels.log / np.log(10.0)).reshape(len(levels.motion), -1)])
+    for begins, row in zip(levels.begins, rows, strict=True):
+        text = ", ".join(f"{x:.3g}" if k < 3 else f"{x:.2f}" for k, x in enumerate(row))
+        out.append(f"    {'- ' if begins else '  '}- [{text}]")
+    return out
 
 
 def _digits(x: float) -> str:

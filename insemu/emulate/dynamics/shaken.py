@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from insemu.compiled import njit
 from insemu.emulate.dynamics.blocks import STREAMS, Blocks, Mount
 from insemu.emulate.dynamics.files import MovingVehicle
+from insemu.emulate.dynamics.levels import between
 from insemu.emulate.dynamics.slip import SlipMotion
 from insemu.emulate.dynamics.slow import SlowProcess
 from insemu.emulate.dynamics.spectrum import Line, MotionSpectrum, weights
@@ -64,7 +65,7 @@ class BodyMotion:
         mount: Mount | None = None,
         slip: SlipMotion | None = None,
     ) -> None:
-        self.path, self.spectrum, self.slip = path, spectrum, slip
+        self.path, self.spectrum, self.slip, self.seed = path, spectrum, slip, seed
         self.rate = KNOTS_PER_PERIOD * spectrum.highest
         hop = max(SHORTEST_HOP, PERIODS / float(spectrum.frequencies[0]))
         self.hop = 1 << int(np.ceil(np.log2(hop * self.rate)))
@@ -74,12 +75,12 @@ class BodyMotion:
         self._pages: OrderedDict[int, Array] = OrderedDict()
         self._periods: dict[int, Array] = {}
         self._noses: Array | None = None
+        self._powers: Array | None = None
 
-        # regimes that swing alike swing together, parts of one by themselves; number -1 is what its parts have in common
-        swings = {(r.swing_sigma, r.swing_time, part) for r, part in zip(spectrum.regimes, spectrum.parts, strict=True)}
-        swings |= {(r.common_sigma, r.common_time, -1) for r in spectrum.regimes}
+        # regimes that swing alike swing together
         self._swings = {
-            x: SlowProcess(*x[:2], (seed, STREAMS["swing"], *([x[2] + 2] if x[2] else []))) for x in sorted(swings)
+            x: SlowProcess(*x, (seed, STREAMS["swing"]))
+            for x in sorted({(r.swing_sigma, r.swing_time) for r in spectrum.regimes})
         }
         self._wanders = [
             SlowProcess(x.wander_sigma, x.wander_time, (seed, STREAMS["wander"], k))
@@ -124,11 +125,11 @@ class BodyMotion:
             for column, k in enumerate(drawn):
                 share, r = shares[:, k], self.spectrum.regimes[k]
                 rises = smoothstep((share - _NO_SHARE) / (9.0 * _NO_SHARE))
-                own = swung[r.swing_sigma, r.swing_time, self.spectrum.parts[k]]
-                levels[:, column] = share * rises * own * swung[r.common_sigma, r.common_time, -1]
-            levels = self._finely(levels)
+                levels[:, column] = share * rises * swung[r.swing_sigma, r.swing_time]
+            levels, gains = self._finely(levels), self._finely(self._gains(t))
             for column, k in enumerate(drawn):
-                _add_noise(body, levels[:, column], self.blocks.half(number - 1, k, 1), self.blocks.half(number, k, 0))
+                late, early = self.blocks.half(number - 1, k, 1), self.blocks.half(number, k, 0)
+                _add_noise(body, levels[:, column], gains, self.blocks.own, self.blocks.adds, late, early)
         for k, line in enumerate(self.spectrum.lines):
             self._add(line, k, number, shares, body)
         slipped = self._slipped(number, t, inside, rpy)
@@ -140,12 +141,31 @@ class BodyMotion:
             self._pages.popitem(last=False)
         return out
 
+    def _gains(self, t: Array) -> Array:
+        """Amplitudes (n, channels' levels) at times over those of the densities."""
+        levels = self.spectrum.levels
+        if levels is None:
+            return np.ones((t.size, 6))
+        start = float(self._slowly(FIRST_PAGE)[0]) - levels.step
+        if self._powers is None:
+            at = np.clip(
+                np.arange(start, float(self._slowly(self._last_page)[-1]) + 2.0 * levels.step, levels.step),
+                self.path.start,
+                self.path.end,
+            )
+            self._powers = levels.drawn(self._motion(at), np.random.default_rng((self.seed, STREAMS["level"])))
+        return np.sqrt(between((t - start) / levels.step, self._powers))
+
+    def _motion(self, t: Array) -> Array:
+        """Horizontal speed, magnitude of the turn rate and rate of climb (n, 3) of the path."""
+        velocity, turn = self.path.position(t, 1), self.path.attitude(t, 1)[:, 2]
+        return np.stack([np.hypot(velocity[:, 0], velocity[:, 1]), np.abs(turn), velocity[:, 2]], axis=1)
+
     def _shares(self, number: int) -> Array:
         """Shares (n, regimes) at the slow samples of a page, blended over time."""
         more = int(np.ceil(_BLEND * self.rate / self.every))
         t = np.clip(self._slowly(number, more), self.path.start, self.path.end)
-        velocity, turn = self.path.position(t, 1), self.path.attitude(t, 1)[:, 2]
-        shares = weights(self.spectrum.regimes, np.hypot(velocity[:, 0], velocity[:, 1]), turn, velocity[:, 2])
+        shares = weights(self.spectrum.regimes, *self._motion(t).T)
         window = np.sin(np.pi * (np.arange(2 * more + 1) + 1.0) / (2 * more + 2)) ** 2
         window /= window.sum()
         return np.stack([np.convolve(s, window, mode="valid") for s in shares.T], axis=1)
@@ -246,11 +266,13 @@ def _cubic(slow: Array, every: int, out: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _add_noise(body: Array, level: Array, late: Array, early: Array) -> None:
-    """Add the second half of one block and the first of the next, (6, n) each."""
+def _add_noise(
+    body: Array, level: Array, gains: Array, own: NDArray[np.int64], adds: NDArray[np.int64], late: Array, early: Array
+) -> None:
+    """Add the second half of one block and the first of the next, (channels, n) each: gain of its ``own``, column to which it ``adds``."""
     for i in range(len(body)):
-        for j in range(6):
-            body[i, j] += level[i] * (late[j, i] + early[j, i])
+        for j in range(len(adds)):
+            body[i, adds[j]] += level[i] * gains[i, own[j]] * (late[j, i] + early[j, i])
 
 
 @njit(cache=True, nogil=True)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from insemu.emulate.dynamics.levels import Levels
 from insemu.errors import InputError
 from insemu.records import AXES
 
@@ -43,8 +44,6 @@ class Regime:
         The densities are means over it.
     density_sigma : (m, 6) array, optional
         Standard deviations of the densities as shares of them; None where nobody says.
-    common_sigma, common_time : float
-        The same of a swing that all parts of a regime have together (regimes with the same ranges are its parts).
     """
 
     name: str
@@ -56,8 +55,6 @@ class Regime:
     swing_sigma: float = 0.0
     swing_time: float = 5.0
     density_sigma: Array | None = None
-    common_sigma: float = 0.0
-    common_time: float = 5.0
 
     def __post_init__(self) -> None:
         m = len(self.density)
@@ -84,19 +81,10 @@ class Regime:
             low, high = getattr(self, what)
             if not low <= high:
                 raise InputError(f"regime '{self.name}': {what} from {low:g} to {high:g}, expected a range")
-        for what, sigma, time in (
-            ("swing", self.swing_sigma, self.swing_time),
-            ("common swing", self.common_sigma, self.common_time),
-        ):
-            if not (sigma >= 0.0 and time > 0.0):
-                raise InputError(
-                    f"regime '{self.name}': {what} of {sigma} within {time} s, expected zero or more and a positive time"
-                )
-
-    @property
-    def ranges(self) -> tuple[tuple[float, float], ...]:
-        """Speed, turn and climb; regimes with the same are parts of one, side by side, each with white numbers and a swing of its own."""
-        return self.speed, self.turn, self.climb
+        if not (self.swing_sigma >= 0.0 and self.swing_time > 0.0):
+            raise InputError(
+                f"regime '{self.name}': swing of {self.swing_sigma} within {self.swing_time} s, expected zero or more and a positive time"
+            )
 
     def farness(self, speed: Array, turn: Array, climb: Array) -> Array:
         """Half the squared distance (n,) of motions from the regime's ranges, in units of the soft edges.
@@ -174,12 +162,15 @@ class MotionSpectrum:
     lines : tuple of Line
     unknown : tuple of str
         What could not be determined, in words.
+    levels : Levels, optional
+        How loud bands and axes are from moment to moment. Densities then say the shape inside of the bands, and there is nothing outside of them.
     """
 
     frequencies: Array
     regimes: tuple[Regime, ...]
     lines: tuple[Line, ...] = ()
     unknown: tuple[str, ...] = field(default=())
+    levels: Levels | None = None
 
     def __post_init__(self) -> None:
         f = np.asarray(self.frequencies, dtype=float)
@@ -194,6 +185,8 @@ class MotionSpectrum:
                 raise InputError(
                     f"regime '{r.name}' has {len(r.density)} rows, expected one for each of the {f.size} frequencies"
                 )
+            if self.levels is not None and r.swing_sigma:
+                raise InputError(f"regime '{r.name}' swings, expected none where levels say how loud it is")
             if names.count(r.name) > 1:
                 raise InputError(f"regime '{r.name}' stands there twice")
         for line in self.lines:
@@ -202,12 +195,6 @@ class MotionSpectrum:
                     raise InputError(
                         f"line '{line.name}' has an amplitude in the regime '{name}', expected one of {', '.join(names)}"
                     )
-
-    @property
-    def parts(self) -> tuple[int, ...]:
-        """Of every regime how many before it have the same ranges."""
-        same = [r.ranges for r in self.regimes]
-        return tuple(same[:k].count(x) for k, x in enumerate(same))
 
     @property
     def highest(self) -> float:
@@ -259,8 +246,6 @@ class MotionSpectrum:
 def weights(regimes: Sequence[Regime], speed: ArrayLike, turn: ArrayLike, climb: ArrayLike) -> Array:
     """Shares (n, regimes) of the power that regimes have at motions; they sum to one.
 
-    Regimes with the same ranges are parts of one: they go on side by side, each with its own loudness, and have its share each.
-
     Parameters
     ----------
     regimes : sequence of Regime
@@ -270,5 +255,4 @@ def weights(regimes: Sequence[Regime], speed: ArrayLike, turn: ArrayLike, climb:
     speed, turn, climb = (np.atleast_1d(np.asarray(x, dtype=float)) for x in (speed, turn, climb))
     far = np.stack([r.farness(speed, turn, climb) for r in regimes], axis=1)
     near = np.exp(far.min(axis=1, keepdims=True) - far)
-    same = [r.ranges for r in regimes]
-    return np.asarray(near / (near / [same.count(x) for x in same]).sum(axis=1, keepdims=True))
+    return np.asarray(near / near.sum(axis=1, keepdims=True))
