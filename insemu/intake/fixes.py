@@ -179,6 +179,10 @@ def weighed(
         No line where the motion tells nothing.
     """
     track = best_track(gnss, found)
+    if track.velocity.size and np.isnan(track.velocity[:, 2]).any():  # of speed and course: heights tell how it climbs
+        place = positions_track(gnss)
+        up = np.interp(track.t, place.t, place.velocity[:, 2]) if place.t.size else 0.0
+        track = replace(track, velocity=np.column_stack([track.velocity[:, :2], np.broadcast_to(up, track.t.shape)]))
     windows = Windows(imu, track)
     if windows.count < FEWEST:
         return [], True
