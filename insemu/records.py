@@ -279,7 +279,7 @@ class GnssRecord(_Timed):
     llh : (n, 3) array
         Latitude rad, longitude rad, ellipsoidal height m. A row of NaN is "no position at this epoch".
     vel_ned : (n, 3) array, optional
-        Earth-relative velocity in m/s; NaN rows are "no velocity".
+        Earth-relative velocity in m/s; NaN rows are "no velocity", NaN down alone is one of speed and course.
     pos_std_ned, vel_std_ned : (n, 3) arrays, optional
         Standard deviations in m and m/s, as stated by the receiver.
     """
@@ -356,7 +356,7 @@ class GnssRecord(_Timed):
 
         keep = np.zeros(times.size, dtype=bool)
         keep[own[np.isfinite(self.llh).all(axis=1)]] = True
-        keep[moved[np.all([np.isfinite(x).all(axis=1) for x in velocity], axis=0)]] = bool(velocity)
+        keep[moved[np.all([np.isfinite(x[:, :2]).all(axis=1) for x in velocity], axis=0)]] = bool(velocity)
         llh = placed(self.llh, own)
         assert llh is not None
         std = placed(self.pos_std_ned, own)

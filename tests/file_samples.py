@@ -564,9 +564,18 @@ def gnss_ins_sim(folder: Path) -> Written:
 # ---------------------------------------------------------------------------------------------------------------- receivers
 
 
+def _over_ground() -> np.ndarray:
+    """Speed and course of the drive's fixes, m/s and deg."""
+    g = drive().gnss
+    assert g is not None and g.vel_ned is not None
+    north, east, _ = g.vel_ned.T
+    return np.column_stack([np.hypot(north, east), np.rad2deg(np.arctan2(east, north)) % 360.0])
+
+
 def _nmea(path: Path, *, gst: bool) -> Path:
     g = drive().gnss
     assert g is not None and g.pos_std_ned is not None
+    motion = _over_ground() / [1852.0 / 3600.0, 1.0]
 
     def line(text: str) -> str:
         total = 0
@@ -584,7 +593,8 @@ def _nmea(path: Path, *, gst: bool) -> Path:
         clock = when.strftime("%H%M%S.%f")[:-4]
         lat, lon, h = _degrees(g.llh)[k]
         place = f"{angle(lat, 2, 'NS')},{angle(lon, 3, 'EW')}"
-        rows.append(line(f"GNRMC,{clock},A,{place},10.0,90.0,{when:%d%m%y},,,A"))
+        speed, course = motion[k]
+        rows.append(line(f"GNRMC,{clock},A,{place},{speed:.4f},{course:.4f},{when:%d%m%y},,,A"))
         rows.append(line(f"GNGGA,{clock},{place},4,12,0.8,{h - 47.3:.4f},M,47.3,M,1.0,0000"))
         if gst:
             n, e, d = g.pos_std_ned[k]
@@ -648,8 +658,7 @@ def _phyphox(root: Path) -> Path:
         head,
         g.t,
         llh,
-        np.full(n, 9.0),
-        np.full(n, 90.0),
+        _over_ground(),
         np.full(n, 4.0),
         np.full(n, 6.0),
         fmt="%.13g",
@@ -686,8 +695,8 @@ def sensor_logger(folder: Path) -> Written:
         _lines(root / name, "time,seconds_elapsed,z,y,x", rows)
     head = "time,seconds_elapsed,bearingAccuracy,speedAccuracy,verticalAccuracy,horizontalAccuracy,speed,bearing,altitude,longitude,latitude"
     rows = [
-        f"{n},{t:.6f},5,0.5,6,4,9,90,{p[2]:.6f},{p[1]:.12f},{p[0]:.12f}"
-        for n, t, p in zip(_ns(g.t, UNIX), g.t, _degrees(g.llh), strict=True)
+        f"{n},{t:.6f},5,0.5,6,4,{speed:.6f},{course:.6f},{p[2]:.6f},{p[1]:.12f},{p[0]:.12f}"
+        for n, t, p, (speed, course) in zip(_ns(g.t, UNIX), g.t, _degrees(g.llh), _over_ground(), strict=True)
     ]
     _lines(root / "Location.csv", head, rows)
     return Written(root, BOTH, UNIX)

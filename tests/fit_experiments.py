@@ -10,16 +10,18 @@ import math
 import time
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import typer
 
 from insemu import units
 from insemu.fit import fit
+from insemu.fit.covariance import covariance_of_curve
 from insemu.fit.em import fit_em
 from insemu.fit.gmwm import fit_curve
 from insemu.fit.likelihood import fit_mli
-from insemu.fit.selection import prediction_distance, select
+from insemu.fit.selection import RANK_DOF, prediction_distance, select
 from insemu.noise import DR, GM, QN, RW, WN, NoiseModel
 from insemu.records import Series
 from insemu.variance import wavelet_variance
@@ -144,6 +146,80 @@ def print_selection(series: int = 50, seed: int = 5) -> None:
             f"({each:.2f} s per series, simulation included)",
             flush=True,
         )
+
+
+#: Strong parts and the part whose size is chosen for a log-likelihood ratio; 2^17 samples at 100 Hz.
+WEAK = {
+    "RW behind WN": (NoiseModel((WN(0.1),)), NoiseModel((RW(1.0),))),
+    "slow GM behind WN": (NoiseModel((WN(0.1),)), NoiseModel((GM(1.0, 0.01),))),
+    "GM behind WN": (NoiseModel((WN(0.1),)), NoiseModel((GM(1.0, 0.5),))),
+    "fast GM behind WN": (NoiseModel((WN(0.1),)), NoiseModel((GM(1.0, 20.0),))),
+    "QN behind WN": (NoiseModel((WN(0.1),)), NoiseModel((QN(1.0),))),
+    "RW behind QN + WN": (QN(0.003) + WN(0.1), NoiseModel((RW(1.0),))),
+    "RW behind GM + WN": (GM(0.3, 2.0) + WN(0.1), NoiseModel((RW(1.0),))),
+    "slow GM behind GM + WN": (GM(0.3, 5.0) + WN(0.1), NoiseModel((GM(1.0, 0.02),))),
+    "WN behind GM": (NoiseModel((GM(1.0, 20.0),)), NoiseModel((WN(1.0),))),
+    "WN behind RW": (NoiseModel((RW(1.0),)), NoiseModel((WN(1.0),))),
+}
+
+
+def scaled(model: NoiseModel, factor: float) -> NoiseModel:
+    """The signal times a factor, for processes whose first parameter is an amplitude."""
+    return NoiseModel(
+        tuple(type(p)(*(v * factor if i == 0 else v for i, v in enumerate(p.parameters.values()))) for p in model)
+    )
+
+
+def weak(name: str, nats: float, series: int = 20, seed: int = 6) -> dict[str, object]:
+    """Choices where the weakest part is worth so many nats: half the squared distance of the expected curve from the nearest model without it.
+
+    ``kept`` counts records whose fitted variance is within a factor of two at the scale where the part counts most.
+    """
+    strong, part = WEAK[name]
+    n, rate, general = 2**17, 100.0, NoiseModel.parse("2*GM() + WN() + RW() + QN()")
+    like = wavelet_variance(strong.simulate(n, 1.0 / rate, np.random.default_rng(seed)), rate, intervals="eta3")
+    scale = like.scale_samples
+
+    def worth(factor: float) -> tuple[float, np.ndarray]:
+        expected = (strong + scaled(part, factor)).wavelet_variance(scale, 1.0 / rate)
+        null = fit_curve(replace(like, value=expected), structure_of(strong), weighting="asymptotic").model
+        curve = null.wavelet_variance(scale, 1.0 / rate)
+        V = covariance_of_curve(null, like)
+        use = 2.0 * curve**2 / np.diag(V) >= RANK_DOF
+        z = np.where(use, 3.0 * curve * (np.cbrt(expected / curve) - 1.0), 0.0)[use]
+        return 0.5 * float(z @ np.linalg.solve(V[np.ix_(use, use)], z)), np.where(use, expected / curve, 1.0)
+
+    high = 1e-6
+    while worth(high)[0] < nats:  # a very large part would be taken over by the others
+        high *= 1.5
+    low = high / 1.5
+    for _ in range(12):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if worth(middle)[0] < nats else (low, middle)
+    truth = strong + scaled(part, high)
+    most = int(np.argmax(np.abs(np.log(worth(high)[1]))))
+    named: Counter[str] = Counter()
+    right = kept = refuted = 0
+    for rng in np.random.default_rng(seed).spawn(series):
+        ranking = select(wavelet_variance(truth.simulate(n, 1.0 / rate, rng), rate, intervals="eta3"), general)
+        named[str(ranking.chosen.structure)] += 1
+        right += sorted(p.symbol for p in ranking.chosen.structure) == sorted(p.symbol for p in truth)
+        fitted = ranking.fit.model.wavelet_variance(scale, 1.0 / rate)[most]
+        kept += bool(0.5 < fitted / truth.wavelet_variance(scale, 1.0 / rate)[most] < 2.0)
+        refuted += ranking.fit.test is not None and ranking.fit.test.p_value < 1e-4
+    return {"right": right, "kept": kept, "refuted": refuted, "named": named, "part": scaled(part, high)}
+
+
+@app.command("weak")
+def print_weak(series: int = 20, seed: int = 6) -> None:
+    for name in WEAK:
+        for worth in (5.0, 15.0, 40.0):
+            got = weak(name, worth, series, seed)
+            print(
+                f"{name:23s} {worth:4.0f} nats ({got['part']}): named right {got['right']} of {series}, variance kept {got['kept']}, refuted by "
+                f"the test of fit {got['refuted']}  {dict(got['named'].most_common(3))}",
+                flush=True,
+            )
 
 
 # -- Stebler et al. 2011: constrained EM --------------------------------------------------------------------------------------------------------

@@ -60,7 +60,7 @@ def test_json_has_the_agreed_keys(tmp_path: Path, capsys: pytest.CaptureFixture[
         ]
         reading = axis["readings"]["N"]
         assert {"value", "low", "high", "unit", "tau_from_s", "tau_to_s"} <= set(reading)
-        assert reading["unit"] == ("deg/sqrt(h)" if name.startswith("g") else "m/s/sqrt(h)")
+        assert reading["unit"] == ("deg/sqrt(h)" if name.startswith("g") else "ug/sqrt(Hz)")
         assert set(axis["readings"]) | set(axis["not_visible"]) == {"Q", "N", "B", "K", "R", "Tc"}
     truth = np.rad2deg(5e-4) * 60.0
     assert abs(axes["gx"]["readings"]["N"]["value"] / truth - 1.0) < 0.03

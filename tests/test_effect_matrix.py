@@ -99,13 +99,14 @@ def typical(effect: Effect, sensor: str) -> EffectUse:
         values["limit"] = (0.3 if sensor == "gyro" else 5.0,)
     if effect.id == "gnss_multipath_step":
         values["start"], values["duration"] = (10.0,), (20.0,)
-    if effect.id == "lever_arm_step":
+    if effect.id in ("lever_arm_step", "expression_step"):
         values["start"] = (10.0,)
     if effect.id == "gnss_quality":
         values["good"] = (5.0,)
     if effect.id == "dropped_samples":
         values["probability"] = (0.01,)
-    return EffectUse(effect.id, sensor, values)
+    equation = {"gyro": "x = rate_y * speed", "accel": "y = force_x ** 2", "gnss": "east = speed"}
+    return EffectUse(effect.id, sensor, values, equation[sensor] if "equation" in effect.traits else "")
 
 
 @pytest.mark.parametrize("name", EFFECTS)

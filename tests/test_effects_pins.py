@@ -11,7 +11,7 @@ import pytest
 
 from insemu import effects, rotation
 from insemu.denoise import outstanding
-from insemu.effects import AID_KINDS, EFFECTS, AidErrors, EffectUse, aid_age, aid_corrected
+from insemu.effects import AID_KINDS, EFFECTS, AidErrors, EffectUse, Signals, aid_age, aid_corrected
 from insemu.effects.base import Effect
 from insemu.effects.chain import FixErrors
 from insemu.effects.hiding import DriveLot, RestLot
@@ -57,6 +57,11 @@ def motion() -> Motion:
     return Motion.of(imu("increment"), np.hstack([r.llh, r.vel_ned, q]), np.arange(0, N, 50))
 
 
+def _signals() -> Signals:
+    rows = np.arange(0, N, 7)
+    return Signals(imu().t[rows], rate=imu().gyro[rows], force=imu().accel[rows], temperature=imu().temperature[rows])
+
+
 @cache
 def geometry() -> FixGeometry:
     return FixGeometry.of(motion(), START + np.arange(0.5, 17.0, 0.75), [0.5, -0.3, -1.2], (0.05, -0.02, 0.1))
@@ -69,6 +74,10 @@ def fixes() -> GnssRecord:
     return GnssRecord(t, r.llh[k], r.vel_ned[k], np.full((34, 3), 0.5), np.full((34, 3), 0.05))
 
 
+#: Of the effect that is one.
+EQUATIONS = {"gyro": "x = rate_y * speed", "accel": "y = force_x ** 2", "gnss": "east = speed"}
+
+
 def _use(effect: Effect, sensor: str, times: float = 1.0) -> EffectUse:
     """At the datasheet's scale, another number on every axis; what has a default keeps it."""
     values = {}
@@ -79,7 +88,7 @@ def _use(effect: Effect, sensor: str, times: float = 1.0) -> EffectUse:
         values[p.name] = tuple(
             float(v) for v in times * effect.scale(p.name, sensor) * (abs(each) if p.positive else each)
         )
-    return EffectUse(effect.id, sensor, values)
+    return EffectUse(effect.id, sensor, values, EQUATIONS[sensor] if "equation" in effect.traits else "")
 
 
 def _drive_lot(sensor: str) -> DriveLot:
@@ -108,7 +117,10 @@ def _or_refused(call: Callable[[], Any]) -> Any:
 
 
 def _fixes(use: EffectUse) -> Any:
-    errors = FixErrors(fixes().t, np.array([0.5, 0.6, 0.9]), np.array([0.05, 0.06, 0.09]), RNG(3), RNG(4))
+    t, vel = fixes().t, fixes().vel_ned
+    errors = FixErrors(
+        t, np.array([0.5, 0.6, 0.9]), np.array([0.05, 0.06, 0.09]), RNG(3), RNG(4), lambda: Signals(t, vel)
+    )
     use.effect.inject_fixes(errors, use, RNG(5))
     return [
         errors.position(), errors.velocity(), errors.stated(), errors.stated_velocity(), errors.arm, errors.latency,
@@ -172,7 +184,7 @@ def _effect(effect: Effect, sensor: str) -> dict[str, Any]:
         "bent": lambda: effect.bent(use, signal, warm, imu().t),
         "turn": lambda: effect.turn(use),
         "true_time": lambda: effect.true_time(use, imu().t),
-        "omitted": lambda: effect.omitted(use, reference(), np.arange(0, N, 7)),
+        "omitted": lambda: effect.omitted(use, reference(), np.arange(0, N, 7), _signals()),
         "corrected_fixes": lambda: effect.corrected_fixes(use, fixes()),
         "true_sigma": lambda: [effect.true_sigma(use, what, np.full((2, 3), 0.5)) for what in ("position", "velocity")],
         "arm": lambda: effect.arm(use),
@@ -187,6 +199,8 @@ def _effect(effect: Effect, sensor: str) -> dict[str, Any]:
     calls |= {
         name: call for name, call in own.items() if effect.does(name) or (name == "subsets" and effect.does("columns"))
     }
+    if "equation" in effect.traits:  # a column for every term, which tests/test_expression.py looks at
+        calls = {name: call for name, call in calls.items() if name not in ("columns", "subsets")}
     return {name: _or_refused(call) for name, call in calls.items()}
 
 

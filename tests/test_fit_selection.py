@@ -68,6 +68,14 @@ def test_the_chosen_model_has_one_test_of_fit():
     assert ranking.fit.test.statistic == pytest.approx(ranking.chosen.objective, rel=0.5, abs=2.0)
 
 
+def test_a_walk_that_fills_the_last_scales_alone_is_kept():
+    """In weights of the model with the walk its scales are uncertain: white noise was chosen whose own test of fit had p = 1e-28."""
+    for seed in range(10):
+        ranking = select(curve_of(WN(0.1) + RW(0.04), n=16_384, seed=seed), GENERAL)
+        assert any(isinstance(p, RW) or (isinstance(p, GM) and p.parameters["beta"] < 0.1) for p in ranking.fit.model)
+        assert ranking.fit.test.p_value > 1e-4
+
+
 def test_given_candidates_are_ranked():
     ranking = rank_models(curve_of(WN(0.1) + RW(0.02)), [NoiseModel((WN(),)), NoiseModel((WN(), RW()))])
     assert ranking.chosen.structure == NoiseModel((WN(), RW()))

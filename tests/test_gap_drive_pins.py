@@ -17,7 +17,7 @@ from insemu.gap import session
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.candidates import robust, shapes, steps
 from insemu.gap.candidates.axis import state_of
-from insemu.gap.candidates.shapes import Change, Outside
+from insemu.gap.candidates.shapes import Change
 from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.checks import drive as drive_checks
 from insemu.gap.data.log import Reduced, reduce
@@ -102,8 +102,7 @@ def test_members_of_a_class_hold_96_percent_together():
 
 
 @pytest.mark.parametrize(("nats", "taken"), [(3.5, False), (4.2, True)])
-def test_a_search_ends_where_nothing_keeps_a_fifth(nats, taken, monkeypatch):
-    monkeypatch.setattr(drive, "library_evidence", lambda *_: Outside(-math.inf, "", None))
+def test_a_search_ends_where_nothing_keeps_a_fifth(nats, taken):
     ranked = [Hypothesis("ramp", nats, (), Change()), *(Hypothesis(str(k), 0.0, (), Change()) for k in range(20))]
     problem = SimpleNamespace(
         scene=None, data=None, threshold=3.0, blocks=list, _hidden_pair=lambda _: None, _apart=lambda best: best

@@ -101,6 +101,10 @@ FOUND: dict[str, tuple[str, tuple[str, ...], str, dict[str, float], dict[str, An
     "earth_rate": ("imu", (), "", {"fraction": 0.9}, {"fraction": 0.9}),
     "gravity": ("imu", (), "", {"offset": 0.01}, {"offset": 0.01}),
     "transport_rate": ("imu", (), "", {"fraction": 1.1}, {"fraction": 1.1}),
+    "expression": ("gnss", ("east = speed",), "", {"value": -0.05}, {"equation": "east = speed", "value": -0.05}),
+    "expression_step": (
+        "accel", ("x = force_y",), "", {"value": 0.01, "start": 20.0}, {"equation": "x = force_y", "value": 0.01, "start": 20.0},
+    ),
     "ramp": ("gyro", ("y",), "", {"R": -1e-6}, {"R": [0, -1e-6, 0]}),
     "outliers": (
         "accel", ("x", "z"), "", {"probability_x": 0.01, "sigma_x": 1.0, "probability_z": 0.02, "sigma_z": 2.0},
@@ -173,7 +177,10 @@ def test_what_was_found_becomes_a_scenario_that_runs_with_its_values(effect: str
     uses = [u for u in refined.truth.effects if u.id == effect]
     assert uses
     for name, value in FOUND[effect][4].items():
-        np.testing.assert_allclose(uses[0][name], value)
+        if name == "equation":
+            assert uses[0].equation == value
+        else:
+            np.testing.assert_allclose(uses[0][name], value)
     results = run_experiment(Experiment(refined, path), realizations=1)
     assert list(results.designs) == ["nominal", "refined"]
     assert np.isfinite(results.nis).all()

@@ -309,7 +309,7 @@ def test_fixes_of_a_log_at_the_rate_of_the_imu_are_those_that_change(tmp_path: P
     apart = fixes(tmp_path, "time=a[s], lat=la[deg], lon=lo[deg], speed=b[m/s]", la=[46.0, 46.0, "nan"], lo=[7.0] * 3)
     assert stamps(apart, "gnss").tolist() == [1, 2]
     assert apart.notes == (
-        "speed and course over ground are no velocity in three axes: they are not kept",
+        "speed over ground without a course is no velocity: it is not kept",
         "fixes: 1 of 3 rows hold no position; they were left out",
     )
 

@@ -21,6 +21,7 @@ from tests.file_samples import KINDS
 
 G = 9.80665
 DEG = np.pi / 180.0
+KNOT = 1852.0 / 3600.0
 #: 2024-01-31 12:00:00 GPS time is week 2299, second 302400; UTC is 18 s behind.
 GPS = 2299 * 604_800.0 + 302_400.0
 UNIX = GPS + 315_964_800.0 - 18.0
@@ -461,11 +462,9 @@ def test_phyphox(tmp_path: Path) -> None:
         t=[0.0, 1.0],
         llh=llh((46.5, 7.25, 400.5), (46.6, 7.35, 401.5)),
         pos_std_ned=[[1, 1, 2], [2, 2, 5]],
+        vel_ned=[[v * math.cos(DEG * c), v * math.sin(DEG * c), np.nan] for v, c in ((3, 90), (4, 91))],
     )
-    assert found.notes == (
-        "the accelerometer has stamps of its own; it was interpolated to the gyroscope's",
-        "speed and course over ground are no velocity in three axes: they are not kept",
-    )
+    assert found.notes == ("the accelerometer has stamps of its own; it was interpolated to the gyroscope's",)
 
 
 def test_sensor_logger_adds_gravity(tmp_path: Path) -> None:
@@ -533,7 +532,7 @@ def _nmea(*bodies: str) -> str:
 
 def test_nmea_with_dates_and_standard_deviations(tmp_path: Path) -> None:
     text = _nmea(
-        "GPRMC,115942.00,A,4630.00000,N,00715.00000,W,0.0,0.0,310124,,,A",
+        "GPRMC,115942.00,A,4630.00000,N,00715.00000,W,10.0,30.0,310124,,,A",
         "GPGGA,115942.00,4630.00000,N,00715.00000,W,4,12,0.8,350.5,M,50.0,M,,",
         "GPGST,115942.00,1.0,0.1,0.1,0.0,0.1,0.2,0.3",
         "GPGGA,115943.50,4636.00000,S,00721.00000,E,5,12,0.8,351.5,M,50.0,M,,",
@@ -546,12 +545,31 @@ def test_nmea_with_dates_and_standard_deviations(tmp_path: Path) -> None:
         t=[UNIX, UNIX + 1.5],
         llh=llh((46.5, -7.25, 400.5), (-46.6, 7.35, 401.5)),
         pos_std_ned=[[0.1, 0.2, 0.3], [np.nan] * 3],
+        vel_ned=[[KNOT * 10 * math.cos(30 * DEG), KNOT * 10 * math.sin(30 * DEG), np.nan], [np.nan] * 3],
     )
     assert found.notes == ("1 line(s) are no NMEA sentence or fail their checksum",)
     plain = open_files(files(tmp_path, {"b.nmea": text.replace(text.split("\r\n")[2] + "\r\n", "")}))
     assert plain.gnss is not None and plain.notes == ()
     np.testing.assert_allclose(plain.gnss.pos_std_ned, [[0.02, 0.02, 0.03], [0.5, 0.5, 0.75]])
     assert plain.assumed == ("standard deviations from the quality of each fix: single 5 m, float 0.5 m, fixed 0.02 m",)
+
+
+def test_nmea_without_rmc_has_its_speed_from_vtg(tmp_path: Path) -> None:
+    clocks = ("115942.00", "115943.00")
+    text = _nmea(
+        *(
+            body
+            for k, clock in enumerate(clocks)
+            for body in (
+                f"GPGGA,{clock},4630.0000{k},N,00715.00000,E,4,12,0.8,350.5,M,50.0,M,,",
+                f"GPVTG,{90 * k}.0,T,,M,1{k}.0,N,,K,A",
+            )
+        )
+    )
+    found = open_files(files(tmp_path, {"a.nmea": text}))
+    assert found.gnss is not None and found.gnss.vel_ned is not None
+    np.testing.assert_allclose(found.gnss.vel_ned[:, :2], [[10 * KNOT, 0], [0, 11 * KNOT]], atol=1e-12)
+    assert "VTG sentences state no time: speed and course are of the GGA before them" in found.assumed
 
 
 def test_nmea_without_dates_over_midnight(tmp_path: Path) -> None:

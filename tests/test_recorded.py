@@ -11,15 +11,20 @@ import pytest
 import yaml
 
 from insemu import earth, rotation
+from insemu.emulate import dead_reckon
 from insemu.errors import InputError
 from insemu.evaluate import Experiment, run_experiment, summary
 from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.recorded import RecordedWorld
 from insemu.evaluate.world import _stretches
-from insemu.formats import write
-from insemu.gap import load_nominal
-from insemu.records import ImuRecord, InitialState, Recording
+from insemu.formats import read_recording, write
+from insemu.gap import Nominal, check, load_nominal
+from insemu.noise import RC, WN
+from insemu.records import AXES, ImuRecord, InitialState, Recording
 from insemu.scenario import load
+from insemu.solve import prepared
+from insemu.stamps import SECOND, Origin
+from insemu.transfer import transfer
 
 WORLD: dict[str, Any] = {
     "title": "drive",
@@ -240,3 +245,53 @@ def test_a_stretch_of_increments_is_the_stretch_of_its_means() -> None:
     both = [_stretches(Recording(imu, None, None), [(1.0, 3.0)], "a file")[0] for imu in (means, means.as_increments())]
     for axis, one in both[0].items():
         np.testing.assert_allclose(both[1][axis].values, one.values, rtol=1e-9)
+
+
+def test_an_outage_may_begin_at_a_date(tmp_path: Path, recording: Recording) -> None:
+    """The same seconds from the start, whatever the clock that tells the date; the message where none does."""
+    zero, day = 1_764_400_000, "2025-11-29T"
+    clocks = {"unix": zero, "gps": zero - 315_964_800 + 18}
+    spans = {"start": f"{day}07:06:50Z", "end": f"{day}08:10:00.5+01:00"}
+    outages = {"outages": [{"start": f"{day}07:08:40Z", "duration": "20 s"}, {"start": "150 s", "duration": "5 s"}]}
+    for clock, seconds in clocks.items():
+        write(tmp_path / "drive.npz", replace(recording, origin=Origin(seconds * SECOND, clock)))
+        found = load(_scenario(tmp_path, gnss=outages, recording={"file": "drive.npz", **spans}))
+        assert [o.start_s for o in found.gnss.outages] == [120.0, 150.0]
+        assert found.recording is not None
+        assert (found.recording.start, found.recording.end) == (10.0, 200.5)
+    write(tmp_path / "drive.npz", recording)
+    with pytest.raises(
+        InputError, match=r"recorded.yaml:\d+: gnss.outages.0.start: is a date, .*its clock tells no date"
+    ):
+        load(_scenario(tmp_path, gnss=outages))
+    (tmp_path / "world.yaml").write_text(yaml.safe_dump(WORLD | {"gnss": outages}))
+    with pytest.raises(InputError, match="an emulated flight has none"):
+        load(tmp_path / "world.yaml")
+    with pytest.raises(InputError, match="expected a date such as"):
+        write(tmp_path / "drive.npz", replace(recording, origin=Origin(zero * SECOND, "unix")))
+        load(_scenario(tmp_path, gnss={"outages": [{"start": "2025-13-40", "duration": "1 s"}]}))
+
+
+def test_all_assume_the_same_of_what_the_fixes_do_not_state(tmp_path: Path, recording: Recording) -> None:
+    """A fix before the IMU data begin counts as well, whoever asks."""
+    assert recording.gnss is not None
+    bare = replace(recording, gnss=replace(recording.gnss, pos_std_ned=None, vel_std_ned=None), reference=None)
+    bare = replace(bare, imu=bare.imu.rows(bare.imu.t > 20.0))
+    write(tmp_path / "drive.npz", bare)
+    bare = read_recording(tmp_path / "drive.npz")
+    path = _scenario(tmp_path, gnss={}, recording={"file": "drive.npz"})
+    noise = {a: WN(N=1e-4) + RC(sigma=0.01) if a.startswith("gyro") else WN(N=1e-3) + RC(sigma=0.1) for a in AXES}
+    drive = prepared(bare).started()
+    said = [text for text in drive.said if "state no standard deviations" in text]
+    assert len(said) == 2
+    warned = RecordedWorld(load(path), path).warnings
+    assert all(any(text in warning for warning in warned) for text in said)
+    nominal = Nominal(noise)
+    assert list(check(bare, nominal, recordings=20).assumed) == said
+    found = transfer(bare, nominal, rng=np.random.default_rng(1), why=False)
+    assert list(found.assumed) == said
+    data, start, done = drive.alone()
+    assert list(done[:2]) == said
+    reckoned = dead_reckon(data, start=start)
+    assert reckoned.against == "fixes" and np.isnan(reckoned.max_attitude_error_rad)
+    assert reckoned.errors[0, 0] < 1.0 and "max_attitude_error_rad" not in reckoned.to_dict()

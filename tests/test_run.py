@@ -66,14 +66,14 @@ def test_a_run_leaves_table_page_and_data(tmp_path: Path, capsys: pytest.Capture
     assert run(str(write(tmp_path)), "--workers", "2", "--variants", "--output", str(out), "--json") == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed == json.loads((out / "summary.json").read_text())
-    assert list(printed) == ["scenario", "digest", "seed", "realizations", "designs", "comparisons", "timing"]
+    assert list(printed) == ["scenario", "digest", "seed", "realizations", "designs", "comparisons", "filter_epochs"]
     assert printed["designs"]["white"]["states"] == 9
     assert printed["designs"]["full"]["states"] == 15
     outage = printed["designs"]["full"]["outages"][0]
     assert (outage["start_s"], outage["duration_s"]) == (80.0, 20.0)
     assert len(outage["planimetric_end_m"]["per_realization"]) == 2
     assert {"position", "velocity", "attitude"} == set(outage["coverage_3sigma"])
-    assert printed["timing"]["filter_epochs"] == 2 * 2 * 6000
+    assert printed["filter_epochs"] == 2 * 2 * 6000
     for name in (
         "index.html",
         "outages.csv",

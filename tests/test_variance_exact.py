@@ -68,15 +68,15 @@ def test_intervals_do_not_depend_on_the_size_of_the_signal(size: float) -> None:
 
 
 def test_units_of_readings() -> None:
-    """1 rad/s is 206264.806 deg/h; a square root of an hour is 60 of a second."""
+    """1 rad/s is 206264.806 deg/h; a square root of an hour is 60 of a second; a micro-g is 9.80665e-6 m/s^2."""
     c = curve(QN(4e-5) + WN(2e-4) + RW(1e-5))
     si, gyro, accel = (v.read_curve(c, unit) for unit in ("", "rad/s", "m/s^2"))
-    deg = 180.0 / np.pi
-    factors = {"Q": (deg, 1.0), "N": (deg * 60.0, 60.0), "K": (deg * 216_000.0, 216_000.0)}
+    deg, ug = 180.0 / np.pi, 1e6 / 9.80665
+    factors = {"Q": (deg, 1.0), "N": (deg * 60.0, ug), "K": (deg * 3600.0, ug)}
     units = {
         "Q": ("1*s", "deg", "m/s"),
-        "N": ("1/sqrt(Hz)", "deg/sqrt(h)", "m/s/sqrt(h)"),
-        "K": ("1*sqrt(Hz)", "deg/h^1.5", "m/s/h^1.5"),
+        "N": ("1/sqrt(Hz)", "deg/sqrt(h)", "ug/sqrt(Hz)"),
+        "K": ("1*sqrt(Hz)", "deg/h*sqrt(Hz)", "ug*sqrt(Hz)"),
     }
     for key, pair in factors.items():
         assert tuple(r[key].unit for r in (si, gyro, accel)) == units[key]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import yaml
 from insemu.denoise import denoise
 from insemu.errors import InputError
 from insemu.noise import BI, DR, GM, QN, RW, WN
+from insemu.units import conversion
 from insemu.variance import (
     allan_variance,
     autocorrelation,
@@ -67,9 +69,9 @@ def test_a_gauss_markov_of_0664_b_reads_back_as_0617_b() -> None:
 def test_units_are_those_of_datasheets() -> None:
     x = (WN(N=1e-3) + RW(K=1e-3)).simulate(100_000, 0.01, np.random.default_rng(32))
     gyro, accel = read_curve(allan_variance(x, 100.0), "rad/s"), read_curve(allan_variance(x, 100.0), "m/s^2")
-    assert (gyro["N"].unit, gyro["K"].unit, accel["N"].unit) == ("deg/sqrt(h)", "deg/h^1.5", "m/s/sqrt(h)")
+    assert (gyro["N"].unit, gyro["K"].unit, accel["N"].unit) == ("deg/sqrt(h)", "deg/h*sqrt(Hz)", "ug/sqrt(Hz)")
     np.testing.assert_allclose(gyro["N"].value, np.rad2deg(gyro["N"].si_value) * 60.0)
-    np.testing.assert_allclose(accel["K"].value, accel["K"].si_value * 3600.0**1.5)
+    np.testing.assert_allclose(accel["K"].value, accel["K"].si_value / 9.80665e-6)
 
 
 @pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")
@@ -80,6 +82,8 @@ def test_the_published_sensor_reads_back() -> None:
     print("axis      N printed -> read      B printed, closed form -> read       K printed -> read")
     for axis, table in published["table_4_allan"].items():
         unit, one = ("m/s^2", 1.0) if axis.startswith("acc") else ("rad/s", np.pi / 180)
+        own = "m/s" if axis.startswith("acc") else "deg"
+        printed = {"N": f"{own}/sqrt(h)", "B": f"{own}/h", "K": f"{own}/h^1.5"}
         N, B, K = table["N"][0] * one / 60, table["B"][0] * one / 3600, table.get("K", [0.0])[0] * one / 3600**1.5
         model = WN(N=N) + GM(sigma=0.664 * B, beta=1.0 / published["table_5"]["correlation_time_s"][axis])
         model = model + RW(K=K) if K else model
@@ -89,7 +93,11 @@ def test_the_published_sensor_reads_back() -> None:
         lowest = float(np.sqrt(curve[int(np.argmax((slope[1:] >= 0) & (slope[:-1] < 0)))]) / 0.664 / one * 3600)
         for seed in (1, 2, 3):
             x = model.simulate(7 * 360_000, 0.01, np.random.default_rng(seed))
-            r = read_curve(allan_variance(x, 100.0), unit)
+            r = {
+                name: replace(v, value=v.value * factor, low=v.low * factor, high=v.high * factor)
+                for name, v in read_curve(allan_variance(x, 100.0), unit).items()
+                for factor in (conversion(v.unit, printed.get(name, v.unit)),)
+            }
             assert abs(r["N"].value / table["N"][0] - 1.0) < 0.01
             inside["B"].append(r["B"].low <= lowest <= r["B"].high)
             if K:

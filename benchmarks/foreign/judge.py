@@ -38,13 +38,18 @@ KINDS: dict[str, tuple[str, ...]] = {
     "outside": ("outside",),
     "jump": ("jump",),
     "rarer": ("rarer",),
+    "changed": ("changed",),
     "receiver": ("receiver", "receiver"),
     "aid-none": (),
     "aid": ("aid",),
     "aid-two": ("aid", "aid"),
 }
 #: Kinds with nothing, one, and more hidden, whose answers are counted alike.
-NOTHING, ONE, MORE = ("none", "aid-none"), ("one", "jump", "rarer", "aid"), ("two", "three", "receiver", "aid-two")
+NOTHING, ONE, MORE = (
+    ("none", "aid-none"),
+    ("one", "jump", "rarer", "changed", "aid"),
+    ("two", "three", "receiver", "aid-two"),
+)
 #: Effects of one size are made so large that they are worth between these, nats.
 WORTH = (25.0, 250.0)
 #: Factor on the vibration of the world in which an effect's worth is measured: in the innovations of a shaken vehicle hardly two runs are alike
@@ -111,7 +116,7 @@ def drawn(job: Job) -> tuple[sensors.World, list[sensors.Hidden], list[float]]:
             if any(o.effect == h.effect for o in hidden):
                 continue
             half = ruler.half(h) if what != "band" else math.nan
-            if kind in ("shaped", "outside", "jump", "rarer"):
+            if kind in ("shaped", "outside", "jump", "rarer", "changed"):
                 scaled, half = ruler.scaled(h, target)
                 if abs(scaled.values["value"] / h.values["value"]) > MOST_SCALE:
                     continue  # the motion does not show it
@@ -300,6 +305,9 @@ def _held_out(
 
 
 def _is(s: Finding | Member, h: sensors.Hidden) -> bool:
+    if h.equation:
+        effect = "expression_step" if "start" in h.values else "expression"
+        return (s.effect, s.sensor, s.axes) == (effect, h.sensor, (h.equation,))
     return (s.effect, s.sensor) == (h.effect, h.sensor) and _there(h.axis, s.axes)
 
 
@@ -321,6 +329,8 @@ def truths(h: sensors.Hidden, world: sensors.World) -> dict[str, float]:
     name = names.get(h.effect, "value")
     if "lag" in v:
         return {f"c1_{axis}": v["value"], f"lag_{axis}": v["lag"]}
+    if h.equation:
+        return dict(v)
     if "value" in v and "start" not in v:
         return {f"{name}_{axis}" if axis else name: v["value"]}
     if h.effect == "gnss_correlated_noise" and "begin" in v:
@@ -392,7 +402,9 @@ def scores(answers: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
         share(f"{kind}: all and only these, by name", exact)
         share(f"{kind}: the same, classes counted", held)
     share("lost samples: said", [a["lost"] for a in answers if "lost" in a])
-    share("outside: 'unexplained'", [a["verdict"] == "unexplained" for a in of["outside"]])
+    outside = of["outside"]
+    share("outside: its equation, first", [bool(a["right"]) and a["right"][0][0] for a in outside])
+    share("outside: an equation or 'unexplained'", [_strange(a) >= 1.0 for a in outside])
     held = [a for a in answers if "interval" in a]
     share("index after refinement: interval holds 1", [a["interval"][0] <= 1.0 <= a["interval"][1] for a in held])
     both = np.array([(a["gained"], a["oracle"]) for a in held if math.isfinite(a["oracle"])]).reshape(-1, 2)
@@ -445,9 +457,12 @@ def scores(answers: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
 
 def _strange(a: dict[str, Any]) -> float:
     """How much an answer speaks for something outside the catalogue."""
-    if a["verdict"] == "unexplained":
-        return 2.0 - (a["findings"][0]["confidence"] if a["findings"] else 0.0)
-    return 1.0 - a["findings"][0]["confidence"] if a["findings"] else 0.0
+    first = (
+        a["findings"][0] if a["findings"] else {"effect": "", "confidence": float(a["verdict"] == "nothing missing")}
+    )
+    if first["effect"] == "expression":
+        return 1.0 + float(first["confidence"])
+    return float(a["verdict"] == "unexplained") + 1.0 - float(first["confidence"])
 
 
 def _area(high: Sequence[float], low: Sequence[float]) -> float:

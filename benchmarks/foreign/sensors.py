@@ -54,6 +54,22 @@ OUTSIDE: dict[tuple[str, str], float] = {
     ("position_with_heading", "gnss"): 0.2,
     ("position_with_speed", "gnss"): 0.02,
 }
+#: Their equations; of an axis the next one is meant by ``{n}``.
+EQUATIONS: dict[str, str] = {
+    "accel_square": "{a} = force_{a} ** 2",
+    "rate_times_force": "{a} = rate_{n} * force_{a}",
+    "position_with_heading": "north = cos(heading)",
+    "position_with_speed": "east = speed",
+    "scale_factor_step": "{a} = {s}_{a}",
+    "misalignment_step": "{a} = {s}_{n}",
+}
+#: What changes in the middle of a ride, with usual sizes.
+CHANGED: dict[tuple[str, str], float] = {
+    ("scale_factor_step", "gyro"): 5e-3,
+    ("scale_factor_step", "accel"): 5e-3,
+    ("misalignment_step", "gyro"): 5e-3,
+    ("misalignment_step", "accel"): 5e-3,
+}
 #: Effects of fixes and processes that are drawn at a size of their own.
 DRAWN = ("random_walk", "gnss_noise_level", "gnss_correlated_noise", "gnss_outliers", "gnss_multipath_step")
 #: What shows in the samples rather than in the fixes.
@@ -68,6 +84,13 @@ class Hidden:
     sensor: str
     axis: str
     values: dict[str, float]
+
+    @property
+    def equation(self) -> str:
+        """What no catalogue holds, as an equation; empty for the rest."""
+        axis = self.axis[:1]
+        signal = "rate" if self.sensor == "gyro" else "force"
+        return EQUATIONS.get(self.effect, "").format(a=axis, n="xyz"["xyz".find(axis) - 2], s=signal)
 
     @property
     def size(self) -> float | None:
@@ -277,6 +300,10 @@ def draw_hidden(rng: np.random.Generator, world: World, what: str) -> Hidden:
         if effect == "lever_arm_step":
             return Hidden(effect, sensor, axis, {**values, "start": float(rng.uniform(0.2, 0.7) * world.sensed.t[-1])})
         return Hidden(effect, sensor, axis, {**values, "lag": float(rng.uniform(*LAGS_S))})
+    if what == "changed":
+        effect, sensor = list(CHANGED)[rng.integers(len(CHANGED))]
+        values = {"value": sign * CHANGED[effect, sensor], "start": float(rng.uniform(0.2, 0.7) * world.sensed.t[-1])}
+        return Hidden(effect, sensor, axis, values)
     if what == "aid":
         return Hidden(*beside.draw_aid(rng, world))
     if what == "jump":
@@ -412,6 +439,8 @@ def _on_signals(h: Hidden, sensed: Sensed, signals: dict[str, Array], warm: Arra
         "g_sensitivity": lambda: sensed.force[:, "xyz".index(h.axis[1])],
         "temperature": lambda: _late(warm, h.values.get("lag", 0.0)) - 25.0,
         "bias_step": lambda: (sensed.t > h.values["start"]).astype(np.float64),
+        "scale_factor_step": lambda: (sensed.t > h.values["start"]) * true,
+        "misalignment_step": lambda: (sensed.t > h.values["start"]) * own[:, (first + 1) % 3],
         "accel_square": lambda: true**2 * np.sign(G),
         "rate_times_force": lambda: sensed.rate[:, (first + 1) % 3] * true,
     }.get(h.effect)

@@ -1,4 +1,4 @@
-"""``insemu dead-reckon``: navigate a recording's IMU alone and compare with its reference."""
+"""``insemu dead-reckon``: navigate a recording's IMU alone and compare with its reference, or its fixes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from insemu.cli.options import argument, option
 
 
 def command(
-    recording: str = argument("RECORDING", "Recording with a reference (.npz or folder)."),
+    recording: str = argument("RECORDING", "Recording with a reference, or with fixes."),
     gravity: str = option("--gravity", "normal"),
     out: str = option("--page", "", "Write a page with the errors over time (HTML)."),
     as_json: bool = option("--json", False),
@@ -16,18 +16,27 @@ def command(
     """Dead-reckon a recording from its own reference at the first IMU epoch.
 
     Prints the largest and the final position error, the largest velocity and attitude error against the reference
-    (ref_*), and how many epochs a second the mechanization does.
+    (ref_*), and how many epochs a second the mechanization does. Without a reference it starts as `insemu solve` does,
+    less the biases that the start finds, and is held against the fixes.
     """
     import json
+    from dataclasses import replace
 
     from rich.console import Console
 
     from insemu.cli.announce import announce
+    from insemu.cli.printing import print_items
     from insemu.emulate import dead_reckon
     from insemu.formats import read_recording
+    from insemu.solve import prepared
 
-    announce(recording, Console(stderr=True))
-    result = dead_reckon(read_recording(recording), gravity=gravity)
+    console = Console(stderr=True)
+    announce(recording, console)
+    data, start, said = read_recording(recording), None, tuple[str, ...]()
+    if data.reference is None and data.gnss is not None:
+        data, start, said = prepared(data).started().alone()
+    result = replace(dead_reckon(data, gravity=gravity, start=start), said=said)
+    print_items(console, said)
     if out:
         from insemu.report import render_reckoning
 
@@ -45,7 +54,7 @@ def command(
         ("largest attitude error", result.max_attitude_error_rad, "rad"),
         ("speed", result.epochs_per_second / 1e6, "million epochs/s"),
     )
-    for name, value, unit in rows:
+    for name, value, unit in (row for row in rows if row[1] == row[1]):  # not NaN
         typer.echo(f"  {name:<24}{value:>14.6g} {unit}")
     if out:
         typer.echo(f"Page: {page}")

@@ -81,11 +81,10 @@ def _imu(file: str, target: Path, to: str) -> None:
 
 def _track(file: str, target: Path, *, reference: bool, origin: str, outage: list[str]) -> None:
     from dataclasses import replace
-    from datetime import UTC, datetime
     from pathlib import Path
 
     from insemu.errors import InputError
-    from insemu.formats import open_files, way_of, write_way
+    from insemu.formats import open_files, seconds_of_date, way_of, write_way
     from insemu.solve import way_of_solution
     from insemu.stamps import OWN
 
@@ -106,12 +105,6 @@ def _track(file: str, target: Path, *, reference: bool, origin: str, outage: lis
             raise InputError("has neither fixes nor a reference", where=file)
         way = way_of(data, Path(file).stem, spans, found.origin)
     if origin:
-        try:
-            when = datetime.fromisoformat(origin.replace("Z", "+00:00"))
-        except ValueError:
-            raise InputError(
-                f"is '{origin[:40]}', expected a date such as 2024-05-01T12:00:00Z", where="--origin"
-            ) from None
-        zero = (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
+        zero = seconds_of_date(origin, "--origin")
         way = replace(way, t=way.t + zero, outages=[(a + zero, b + zero) for a, b in way.outages], origin=OWN)
     write_way(way, target)

@@ -84,7 +84,7 @@ def _tell(checks: dict[str, Check], console: Console) -> None:
     """The answer on the terminal: what stands out of each model's band, and the metres."""
     import numpy as np
 
-    from insemu.cli.printing import print_table
+    from insemu.cli.printing import print_items, print_table
 
     for name, c in checks.items():
         o = c.outages
@@ -94,6 +94,7 @@ def _tell(checks: dict[str, Check], console: Console) -> None:
             highlight=False,
         )
     last = checks["after"]
+    print_items(console, last.assumed)
     out = sorted((s for s in last.statistics if s.outside), key=lambda s: min(s.percentile, 1.0 - s.percentile))
     heads = ("statistic", "of", "measured", "emulated 95 %", "percentile")
     body = [

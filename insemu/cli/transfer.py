@@ -82,9 +82,10 @@ def command(
 def _tell(found: Transfer, console: Console) -> None:
     """The answer on the terminal: does it help, the factors, the judge, the reasons."""
     from insemu import report
-    from insemu.cli.printing import print_table
+    from insemu.cli.printing import print_items, print_table
 
     console.print(report.transfer_answer(found), style="bold", highlight=False, markup=False)
+    print_items(console, found.assumed)
     tables = (
         ("Factors on the levels", report.factor_rows(found)),
         ("Constants tuned with them", report.constant_rows(found)),

@@ -10,13 +10,14 @@ itself, and hidden in a blind trial: ``gnss.LeverArm`` is all about a wrong leve
     gnss.py           the fixes and the antenna
     model.py          what a model of motion leaves out
     aids.py           measurements beside the fixes
+    expression.py     what has no name, as an equation (terms.py)
 
 :data:`EFFECTS` is the one list: the emulator, the scenario, the gap workflow, the trial and the tests of completeness go through it.
 """
 
 from collections.abc import Iterable
 
-from insemu.effects import aids, deterministic, gnss, model, passes, samples, stochastic, timing
+from insemu.effects import aids, deterministic, expression, gnss, model, passes, samples, stochastic, timing
 from insemu.effects.aids import AidErrors, aid_age, aid_corrected, aid_errors
 from insemu.effects.base import (
     AID_KINDS,
@@ -39,9 +40,14 @@ from insemu.effects.gnss import LONGEST_ARM, filter_memory
 from insemu.effects.hiding import DriveLot, Hidden, RestLot
 from insemu.effects.motion import MOTION_HZ, Column, FixGeometry, Motion, first_axis, on_axes, steady
 from insemu.effects.parameters import CELLS, CROSS, EffectParameter, Join
+from insemu.effects.terms import Signals, equation
 
 EFFECTS.update(
-    {e.id: e for family in (stochastic, deterministic, samples, timing, gnss, model, aids) for e in family.EFFECTS}
+    {
+        e.id: e
+        for family in (stochastic, deterministic, samples, timing, gnss, model, aids, expression)
+        for e in family.EFFECTS
+    }
 )
 
 
@@ -122,6 +128,7 @@ __all__ = [
     "Hidden",
     "Motion",
     "RestLot",
+    "Signals",
     "Stage",
     "added_signal",
     "adds",
@@ -132,6 +139,7 @@ __all__ = [
     "columns_without",
     "compensated",
     "effect_of",
+    "equation",
     "filter_memory",
     "first_axis",
     "having",

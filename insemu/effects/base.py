@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import units
-from insemu.effects.parameters import EffectParameter, Join
+from insemu.effects.parameters import EffectParameter, Join, checked_numbers
 from insemu.errors import InputError, nearest, shown
 from insemu.noise import Process
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from insemu.effects.chain import Chain, FixErrors
     from insemu.effects.hiding import DriveLot, Hidden, RestLot
     from insemu.effects.motion import AntennaMotion, Column, FixGeometry, Motion
+    from insemu.effects.terms import Signals
     from insemu.records import AidRecord, GnssRecord, ImuRecord, Trajectory
 
 Array = NDArray[np.float64]
@@ -54,6 +55,7 @@ ASPECTS: tuple[Aspect, ...] = ("emulate", "compensate", "signature", "candidate"
 #: outlying   : some fixes or measurements are far off, and which ones is nobody's to know beforehand: a filter gates them
 #: filled     : takes samples, in whose place others are put from those around them
 #: widened    : a filter without states for it widens what it believes; a search carries it in its model
+#: equation   : what it is is an equation, its place as well: several of one sensor may stand side by side
 #: evident    : read off the samples or beside a recorded signal: nothing unexplained can stand in for it
 Trait = Literal[
     "slow",
@@ -69,6 +71,7 @@ Trait = Literal[
     "outlying",
     "filled",
     "widened",
+    "equation",
     "evident",
 ]
 #: Columns that are tried together: axes, label, their places among the effect's columns.
@@ -160,9 +163,24 @@ class Effect:
             f"effect '{self.id}' has no parameter '{name}'" + nearest(str(name), [p.name for p in self.parameters])
         )
 
-    def unit(self, parameter: str, sensor: str) -> str:
-        """SI unit of a parameter for a sensor."""
+    def unit(self, parameter: str, sensor: str, equation: str = "") -> str:
+        """SI unit of a parameter for a sensor.
+
+        Parameters
+        ----------
+        parameter, sensor : str
+        equation : str
+            Of an effect that is one.
+        """
         return self.parameter(parameter).unit.replace("{s}", SIGNAL_UNITS.get(sensor, ""))
+
+    def written(self, equation: str, sensor: str) -> str:
+        """The equation of an effect that is one as it is written; empty of the others, which have none."""
+        if equation:
+            raise InputError(
+                f"effect '{self.id}' has the key 'equation', expected it of 'expression' and 'expression_step'"
+            )
+        return ""
 
     def scale(self, parameter: str, sensor: str) -> float:
         """Datasheet magnitude of a parameter for a sensor, SI."""
@@ -271,7 +289,7 @@ class Effect:
         raise NotImplementedError(self.id)
 
     def omitted(
-        self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64]
+        self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64], signals: Signals
     ) -> tuple[Array | None, Array | None]:
         """What the rate and the specific force lack, (n, 3) in body axes each, or None.
 
@@ -281,6 +299,8 @@ class Effect:
         trajectory : Trajectory
         rows : (n,) array of int
             Rows of the trajectory.
+        signals : Signals
+            Time, rate, specific force and temperature of the IMU, (n,) each.
         """
         raise NotImplementedError(self.id)
 
@@ -376,6 +396,10 @@ class Effect:
             out.append((tuple(dict.fromkeys(a for c in columns for a in c.axes)), "all", list(range(len(columns)))))
         return out
 
+    def odds(self, column: Column) -> float:
+        """How common one of its columns is among them: 1, or less."""
+        return 1.0
+
     # -- refine: how two finds become one -----------------------------------------------------------------------------------------------
 
     @property
@@ -393,7 +417,7 @@ class Effect:
             if not p.join or (p.join == "equal" and not np.array_equal(a, b)):
                 return None
             values[p.name] = tuple(float(x) for x in _JOINED[p.join](a, b))
-        return EffectUse(self.id, old.sensor, values)
+        return EffectUse(self.id, old.sensor, values, old.equation)
 
     # -- trial: how it is hidden ---------------------------------------------------------------------------------------------------------
 
@@ -451,6 +475,8 @@ class EffectUse:
         ``gyro``, ``accel``, ``imu``, ``gnss``, or an aid: ``odometer``, ``barometer``, ``heading``.
     values : mapping of str to tuple of float
         Every parameter in SI, with as many numbers as the table says.
+    equation : str
+        Of an effect that is one: what its error is proportional to (:func:`insemu.effects.terms.equation`); empty for the others.
 
     Raises
     ------
@@ -461,14 +487,16 @@ class EffectUse:
     id: str
     sensor: str
     values: Mapping[str, tuple[float, ...]]
+    equation: str = ""
 
     def __post_init__(self) -> None:
         effect = effect_of(self.id)
         _check_sensor(effect, self.sensor)
+        object.__setattr__(self, "equation", effect.written(self.equation, self.sensor))
         for name in self.values:
             effect.parameter(name)
         object.__setattr__(
-            self, "values", {p.name: _numbers(effect, p, self.values.get(p.name)) for p in effect.parameters}
+            self, "values", {p.name: checked_numbers(effect.id, p, self.values.get(p.name)) for p in effect.parameters}
         )
 
     @property
@@ -511,10 +539,12 @@ class EffectUse:
             sensor = effect.sensors[0]
         _check_sensor(effect, sensor)
         axes = given.pop("axes", None)
+        equation = effect.written(given.pop("equation", ""), sensor)
         values: dict[str, tuple[float, ...]] = {}
         for name, quantity in given.items():
             p = effect.parameter(name)
-            numbers = _parsed(effect, p, quantity, sensor)
+            own = effect.unit(p.name, sensor, equation)
+            numbers = _parsed(effect, p, quantity, own)
             if axes is not None and p.size == 3 and len(numbers) == 1:
                 chosen = list(axes) if isinstance(axes, list | tuple) else [axes]
                 for axis in chosen:
@@ -522,11 +552,13 @@ class EffectUse:
                         raise InputError(f"effect '{effect.id}': unknown axis {shown(axis)} (expected x, y or z)")
                 numbers = tuple(numbers[0] if axis in chosen else 0.0 for axis in XYZ)
             values[name] = numbers
-        return cls(effect.id, sensor, values)
+        return cls(effect.id, sensor, values, equation)
 
     def to_mapping(self) -> dict[str, Any]:
         """Inverse of :meth:`from_mapping`, SI numbers."""
         out: dict[str, Any] = {"effect": self.id, "sensor": self.sensor}
+        if self.equation:
+            out["equation"] = self.equation
         for name, numbers in self.values.items():
             out[name] = numbers[0] if len(numbers) == 1 else list(numbers)
         return out
@@ -539,9 +571,8 @@ def _check_sensor(effect: Effect, sensor: Any) -> None:
         )
 
 
-def _parsed(effect: Effect, p: EffectParameter, quantity: Any, sensor: str) -> tuple[float, ...]:
+def _parsed(effect: Effect, p: EffectParameter, quantity: Any, unit: str) -> tuple[float, ...]:
     """Quantities as a file has them, in SI."""
-    unit = effect.unit(p.name, sensor)
     items: Sequence[Any] = quantity if isinstance(quantity, list | tuple) else [quantity]
     numbers = []
     for item in items:
@@ -558,37 +589,6 @@ def _parsed(effect: Effect, p: EffectParameter, quantity: Any, sensor: str) -> t
                 f"effect '{effect.id}', '{p.name}': found {shown(item)}, expected a finite number"
             ) from None
     return tuple(numbers)
-
-
-def _numbers(effect: Effect, p: EffectParameter, given: Any) -> tuple[float, ...]:
-    """All numbers of a parameter, checked."""
-    where = f"effect '{effect.id}', '{p.name}'"
-    if given is None:
-        if p.default is None:
-            raise InputError(f"effect '{effect.id}' misses its parameter '{p.name}' ({p.meaning})")
-        given = (p.default,)
-    try:
-        numbers = tuple(float(x) for x in ((given,) if isinstance(given, int | float) else given))
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{where}: found {shown(given)}, expected {_count(p.size)} number(s)") from None
-    if len(numbers) == 1 and p.size in (3, 9):
-        numbers *= 3
-    if len(numbers) == 3 and p.size == 9:
-        a, b, c = numbers
-        numbers = (a, 0.0, 0.0, 0.0, b, 0.0, 0.0, 0.0, c)
-    if len(numbers) != p.size:
-        raise InputError(f"{where}: found {len(numbers)} value(s), expected {_count(p.size)}")
-    if not all(math.isfinite(x) for x in numbers):
-        raise InputError(f"{where}: found a value that is not finite")
-    if p.positive and min(numbers) < 0:
-        raise InputError(f"{where}: found {min(numbers):g}, expected zero or more")
-    if p.most is not None and max(abs(x) for x in numbers) > p.most:
-        raise InputError(f"{where}: found {max(numbers, key=abs):g}, expected at most {p.most:g}")
-    return numbers
-
-
-def _count(size: int) -> str:
-    return {1: "one", 3: "one or three", 6: "six (xy, xz, yx, yz, zx, zy)", 9: "nine (or three, the diagonal)"}[size]
 
 
 def effect_of(effect_id: Any) -> Effect:

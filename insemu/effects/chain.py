@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from insemu.effects import passes
 from insemu.effects.base import EffectUse
+from insemu.effects.terms import Signals
 from insemu.errors import InputError
 from insemu.records import ImuRecord, Trajectory
 
@@ -199,6 +200,8 @@ class FixErrors:
     sigma, sigma_v : (3,) arrays or None
         Standard deviations of the white noise, m and m/s.
     of_position, of_velocity : Generator
+    signals : callable
+        The true motion at the stamps.
     """
 
     def __init__(
@@ -208,8 +211,10 @@ class FixErrors:
         sigma_v: Array | None,
         of_position: np.random.Generator,
         of_velocity: np.random.Generator,
+        signals: Callable[[], Signals],
     ) -> None:
         n = t.size
+        self.signals = signals
         self.t, self.sigma, self.sigma_v = t, sigma, sigma_v
         self.white = of_position.standard_normal((n, 3))
         self.white_v = of_velocity.standard_normal((n, 3))

@@ -16,6 +16,7 @@ from insemu import earth, rotation
 from insemu.effects.aids import aid_corrected
 from insemu.effects.base import EffectUse, Stage
 from insemu.effects.motion import AntennaMotion, acceleration_along, steady
+from insemu.effects.terms import Signals
 from insemu.errors import InputError
 from insemu.records import ImuRecord, Recording, Trajectory
 
@@ -98,7 +99,7 @@ def _way(imu: ImuRecord, trajectory: Trajectory, lever_arm: ArrayLike) -> Antenn
     a[:, 2] += earth.gravity(llh[:, 0], llh[:, 2])
     vel = np.column_stack([np.interp(t, trajectory.t, v) for v in trajectory.vel_ned.T])
     rate = steady(imu.gyro[inside] / width, imu.dt)
-    return AntennaMotion(t, C, rate, acceleration_along(t, a, vel), np.asarray(lever_arm, dtype=float))
+    return AntennaMotion(t, C, rate, acceleration_along(t, a, vel), np.asarray(lever_arm, dtype=float), vel)
 
 
 def _place(use: EffectUse) -> Stage:
@@ -140,8 +141,9 @@ def _imu(imu: ImuRecord, effects: Sequence[EffectUse], trajectory: Trajectory | 
     if models:
         trajectory = _given(trajectory, models[0])
         rows = np.clip(np.searchsorted(trajectory.t, t), 0, len(trajectory) - 1)
+        signals = Signals(t, rate=rate, force=force, temperature=imu.temperature)
         for use in models:
-            of_rate, of_force = use.effect.omitted(use, trajectory, rows)
+            of_rate, of_force = use.effect.omitted(use, trajectory, rows, signals)
             rate = rate if of_rate is None else rate + of_rate
             force = force if of_force is None else force + of_force
     return replace(imu, t=t, gyro=rate * step, accel=force * step)

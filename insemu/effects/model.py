@@ -11,6 +11,7 @@ from insemu.effects.chain import Chain
 from insemu.effects.hiding import DriveLot, Hidden
 from insemu.effects.motion import Column, FixGeometry, Motion, on_axes
 from insemu.effects.parameters import EffectParameter
+from insemu.effects.terms import Signals
 from insemu.records import Trajectory
 
 Array = NDArray[np.float64]
@@ -44,7 +45,7 @@ class EarthRate(_Model):
         chain.earth_share += use.scalar("fraction")
 
     def omitted(
-        self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64]
+        self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64], signals: Signals
     ) -> tuple[Array | None, Array | None]:
         """The Earth rate in body axes."""
         w_n = use.scalar("fraction") * earth.earth_rate(trajectory.llh[rows, 0])
@@ -74,7 +75,7 @@ class GravityModel(_Model):
         chain.gravity_offset += use.scalar("offset")
 
     def omitted(
-        self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64]
+        self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64], signals: Signals
     ) -> tuple[Array | None, Array | None]:
         """The offset in body axes."""
         return None, np.asarray(use.scalar("offset") * _attitude(trajectory, rows)[:, 2, :])
@@ -102,7 +103,7 @@ class TransportRate(_Model):
         chain.transport_share += use.scalar("fraction")
 
     def omitted(
-        self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64]
+        self, use: EffectUse, trajectory: Trajectory, rows: NDArray[np.int64], signals: Signals
     ) -> tuple[Array | None, Array | None]:
         """The transport rate in body axes."""
         w_n = use.scalar("fraction") * earth.transport_rate(trajectory.llh[rows], trajectory.vel_ned[rows])

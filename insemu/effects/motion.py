@@ -293,6 +293,8 @@ class AntennaMotion:
         Of the IMU, m/s^2, NED.
     lever_arm : (3,) array
         From the IMU to the antenna, m, body axes.
+    vel : (n, 3) array
+        Of the IMU at each time, m/s, NED.
     """
 
     t: Array
@@ -300,11 +302,16 @@ class AntennaMotion:
     rate: Array
     acceleration: Array
     lever_arm: Array
+    vel: Array
 
     @cached_property
     def swing(self) -> Array:
         """Velocity (n, 3) of the antenna about the IMU, NED, m/s."""
         return swing_along(self.C, self.rate, self.lever_arm)
+
+    def velocity_at(self, at: Array) -> Array:
+        """Velocity (k, 3) of the IMU at times (k,) in s."""
+        return np.column_stack([np.interp(at, self.t, v) for v in self.vel.T])
 
     def row(self, at: Array) -> NDArray[np.int64]:
         """Rows of times ``at`` (k,) in s, the nearest."""

@@ -10,7 +10,7 @@ import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, rotation
-from insemu.effects import LONGEST_ARM, EffectUse, FixErrors
+from insemu.effects import LONGEST_ARM, EffectUse, FixErrors, Signals
 from insemu.emulate.table import SAMPLE_BYTES, check_size
 from insemu.errors import InputError
 from insemu.records import GnssRecord, Trajectory
@@ -192,9 +192,9 @@ def antenna(trajectory: Trajectory, t: ArrayLike, lever_arm: ArrayLike) -> tuple
     return earth.move(llh, beside), vel + np.einsum("nij,nj->ni", c, np.cross(w_eb, arm))
 
 
-def _three(value: ArrayLike, name: str) -> Array:
+def _three(value: ArrayLike, name: str, *, without_down: bool = False) -> Array:
     array = np.broadcast_to(np.asarray(value, dtype=float), (3,)).copy()
-    if not np.isfinite(array).all():
+    if not np.isfinite(array[: 2 if without_down and np.isnan(array[2]) else 3]).all():
         raise InputError(f"{name} is {array.tolist()}, expected one or three finite numbers")
     return array
 
@@ -220,7 +220,7 @@ def gnss_fixes(
         Fixes per second; the first comes one period after the start of the trajectory.
     pos_sigma_ned, vel_sigma_ned : float or (3,)
         Standard deviations of white noise, m and m/s, which the receiver also states; ``vel_sigma_ned=None`` for no
-        velocity.
+        velocity, NaN down for speed and course.
     lever_arm : (3,)
         From the IMU to the antenna in body axes, m.
     outages : sequence of Outage or AreaOutage
@@ -238,7 +238,7 @@ def gnss_fixes(
         fix.
     """
     sigma = _three(pos_sigma_ned, "the position sigma")
-    sigma_v = None if vel_sigma_ned is None else _three(vel_sigma_ned, "the velocity sigma")
+    sigma_v = None if vel_sigma_ned is None else _three(vel_sigma_ned, "the velocity sigma", without_down=True)
     for name, values in (("position", sigma), ("velocity", sigma_v)):
         if values is not None and (values < 0).any():
             raise InputError(f"the {name} sigma is {values.tolist()}, expected zero or more")
@@ -302,7 +302,12 @@ def _fixes(
     """Fixes at times (n,), true places of the antenna, and which of them lie on the trajectory."""
     of_position, of_velocity = rng.spawn(2)
     own = [use for use in effects if use.sensor == "gnss"]
-    errors = FixErrors(t, sigma, sigma_v, of_position, of_velocity)
+
+    def signals() -> Signals:
+        _, vel, q, rate = state_at(trajectory, np.clip(t, trajectory.t[0], trajectory.t[-1]))
+        return Signals(t, vel, rotation.rpy_from_dcm(rotation.dcm_from_quaternion(q)), rate)
+
+    errors = FixErrors(t, sigma, sigma_v, of_position, of_velocity, signals)
     for use, child in zip(own, rng.spawn(len(own)), strict=True):
         use.effect.inject_fixes(errors, use, child)
     valid = t - errors.latency

@@ -259,7 +259,7 @@ def _against_heading(name: str, llh: Array, rpy: Array, sigma: float) -> None:
 
 def _against_velocity(name: str, t: Array, llh: Array, velocity: Array) -> list[str]:
     """Positions and velocities must tell the same story; the ways in which they usually do not are named."""
-    good: NDArray[np.bool_] = np.asarray(np.isfinite(velocity).all(axis=1))
+    good: NDArray[np.bool_] = np.asarray(np.isfinite(velocity[:, :2]).all(axis=1))
     pairs = np.nonzero(good[1:] & good[:-1])[0]
     if pairs.size < 5:
         return []
@@ -439,7 +439,7 @@ def smooth_track(
         for axis in range(3):
             data = [(t, 0, xyz[:, axis], weight / std[:, axis] ** 2)]
             if rates is not None:
-                good = np.isfinite(rates).all(axis=1)
+                good = np.isfinite(rates[:, axis])  # of speed and course no component down
                 data.append((t[good], 1, rates[good, axis], weight[good] / rate_std[good, axis] ** 2))
             columns.append(smoother.solve(data))
         position = basis.ppoly(np.stack(columns, axis=1))

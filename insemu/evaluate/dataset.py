@@ -39,7 +39,6 @@ VARIABLES: Mapping[str, tuple[tuple[str, ...], str, str]] = {
     "rejected": ((), "1", "fixes and standstill updates that the gate kept out"),
     "fixes": ((), "1", "fixes and standstill updates with any component"),
     "epochs": ((), "1", "IMU epochs filtered"),
-    "seconds": ((), "s", "time in the filter"),
 }  # fmt: skip
 #: Labels of the dimensions that are the same in every experiment.
 LABELS: Mapping[str, Sequence[str]] = {"component": COMPONENTS, "block": BLOCKS, "axis": AXES}

@@ -354,7 +354,9 @@ class EmulatedWorld:
             self.reference,
             rate_hz=gnss.rate,
             pos_sigma_ned=(0.0, 0.0, 0.0) if ideal else gnss.position_sigma,
-            vel_sigma_ned=(0.0, 0.0, 0.0) if ideal and gnss.velocity_sigma is not None else gnss.velocity_sigma,
+            vel_sigma_ned=None
+            if gnss.velocity_sigma is None
+            else np.multiply(gnss.velocity_sigma, 0.0 if ideal else 1.0),
             lever_arm=gnss.lever_arm,
             outages=self.outages,
             rng=rng,

@@ -443,7 +443,7 @@ class Experiment:
         if true is not None and not np.allclose(times, self.world.output_times, rtol=0, atol=0.5 / self.rate_hz):
             true = None
         found |= sensor_scores(p.ekf, run, p.known, p.rows, self._whole(found["error"]), true, p.unaided)
-        return found | run_scores(run.layout, run.fixes) | {"epochs": run.epochs, "seconds": run.seconds}
+        return found | run_scores(run.layout, run.fixes) | {"epochs": run.epochs}
 
     def _stretched(self, world: StretchedWorld, index: int) -> dict[str, dict[str, Any]]:
         """Every design through one realization of a flight in stretches; the filter's states and covariance are handed from one to the next."""
@@ -470,8 +470,7 @@ class Experiment:
             arrays = {key: np.concatenate([p[key] for p in parts], axis=axis.get(key, 0)) for key in parts[0]}
             last = runs[name][-1]
             table = FixTable.joined([run.fixes for run in runs[name]])
-            sums = {"epochs": sum(r.epochs for r in runs[name]), "seconds": sum(r.seconds for r in runs[name])}
-            out[name] = arrays | run_scores(last.layout, table) | sums
+            out[name] = arrays | run_scores(last.layout, table) | {"epochs": sum(r.epochs for r in runs[name])}
         return out
 
     def _onward(

@@ -28,6 +28,8 @@ from insemu.whole import clear_partials, put, replacing
 MARKER = "complete.json"
 #: What is locked, and beside it who locked it.
 LOCK, WRITER = ".lock", ".writer"
+#: How long the run took: the one file that a repeated run does not write with the same bytes.
+TIMING = "timing.json"
 #: How long the processes that a killed writer leaves are waited for, s: they draw a picture or fly a realization.
 LEFT = 20.0
 CACHE = "cache"
@@ -125,7 +127,7 @@ def resolved(scenario: Scenario) -> str:
 
 
 def write(results: Results, folder: Path) -> None:
-    """Write ``summary.json``, ``outages.csv``, ``errors.nc`` and ``manifest.json``; whatever marked the folder as complete is taken away first.
+    """Write ``summary.json``, ``outages.csv``, ``errors.nc``, ``manifest.json`` and ``timing.json``; a mark of the folder as complete goes first.
 
     ``errors.nc`` holds all epochs of some realizations (of all where they are few), and in the groups ``runs`` and ``statistics`` values of every
     realization at the outages, and statistics over all of them at every epoch.
@@ -139,6 +141,7 @@ def write(results: Results, folder: Path) -> None:
     (folder / MARKER).unlink(missing_ok=True)
     write_summary(results, folder)
     put(folder / "manifest.json", json.dumps(results.manifest, indent=1, default=str))
+    put(folder / TIMING, json.dumps(dict(results.timing), indent=1))
     rows = outage_rows(results)
     stream = io.StringIO(newline="")
     if rows:
@@ -189,7 +192,9 @@ def finish(folder: Path, scenario: Scenario, results: Results) -> None:
         Of the scenario itself, not of a variant.
     """
     files = sorted(p for p in folder.rglob("*") if p.is_file() and CACHE not in p.relative_to(folder).parts)
-    hashes = {str(p.relative_to(folder)): sha256(p) for p in files if p.name not in (MARKER, LOCK, WRITER, CRATE)}
+    hashes = {
+        str(p.relative_to(folder)): sha256(p) for p in files if p.name not in (MARKER, LOCK, WRITER, CRATE, TIMING)
+    }
     put(folder / CRATE, crate(results.title, results.manifest, hashes))
     hashes[CRATE] = sha256(folder / CRATE)
     document = {

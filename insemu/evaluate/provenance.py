@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 #: The file that RO-Crate prescribes.
 CRATE = "ro-crate-metadata.json"
 _CONTEXT = "https://w3id.org/ro/crate/1.1"
-#: Variables that are measured anew every time.
-_TIMES = frozenset({"seconds"})
 
 
 def sha256(path: Path) -> str:
@@ -180,7 +178,7 @@ def changed(held: Mapping[str, Any], now: Mapping[str, Any], at: str = "") -> li
 
 
 def differences(held: xr.Dataset, again: xr.Dataset) -> list[str]:
-    """What two results disagree in, variable by variable; empty where every number is the same to the last bit (times apart).
+    """What two results disagree in, variable by variable; empty where every number is the same to the last bit.
 
     Parameters
     ----------
@@ -188,7 +186,7 @@ def differences(held: xr.Dataset, again: xr.Dataset) -> list[str]:
         As :meth:`~insemu.evaluate.results.Results.to_dataset` gives it.
     """
     out = []
-    for name in sorted({*map(str, held.variables), *map(str, again.variables)} - _TIMES):
+    for name in sorted({*map(str, held.variables), *map(str, again.variables)}):
         if name not in held.variables or name not in again.variables:
             out.append(f"{name}: only in the {'held' if name in held.variables else 'new'} result")
             continue

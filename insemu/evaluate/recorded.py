@@ -85,7 +85,7 @@ class RecordedWorld:
         inside &= np.isfinite(gnss.llh).all(axis=1)
         if inside.sum() < 2:
             raise InputError("has no GNSS fixes within its IMU data", where=self.source.file)
-        self.gnss = self._with_sigmas(gnss.rows(inside))
+        self.gnss = self._with_sigmas(gnss).rows(inside)
         self.reference = recording.reference
 
     def _in_vehicle(self, imu: ImuRecord) -> ImuRecord:
@@ -236,11 +236,12 @@ class RecordedWorld:
 
     @property
     def compared(self) -> int:
-        """Navigation errors that have a reference: all nine, or position and velocity of fixes, or their position alone."""
+        """Navigation errors that have a reference: all nine, or position and velocity of fixes (five of speed and course), or position alone."""
         if self.reference is not None:
             return 9
-        believed = self.scenario.gnss.velocity_sigma is not None
-        return 6 if believed and self.gnss.vel_ned is not None and self.gnss.vel_std_ned is not None else 3
+        if self.scenario.gnss.velocity_sigma is None or self.gnss.vel_ned is None or self.gnss.vel_std_ned is None:
+            return 3
+        return 3 + int(np.isfinite(self.gnss.vel_ned).any(axis=0).sum())
 
     def score(self, run: Estimate, times: Array) -> Scored:
         """Errors of a run at the output epochs; the covariance of the fixes is added where they are what it is compared with.
@@ -262,11 +263,11 @@ class RecordedWorld:
             error[:, :3] = earth.position_difference(llh, fixes.llh)
             assert fixes.pos_std_ned is not None
             R = fixes.pos_std_ned**2
-            if used == 6:
+            if used > 3:
                 assert fixes.vel_ned is not None and fixes.vel_std_ned is not None
                 error[:, 3:6] = vel - fixes.vel_ned
                 R = np.concatenate([R, fixes.vel_std_ned**2], axis=1)
-            P[:, :used, :used] += np.eye(used) * R[:, None]
+            P[:, :used, :used] += np.eye(used) * R[:, None, :used]
         sigma = np.sqrt(np.einsum("tii->ti", P))
         return Scored(error, sigma, nees(np.nan_to_num(error[:, :used]), P[:, :used, :used]) * 9.0 / used)
 

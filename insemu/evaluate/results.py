@@ -62,7 +62,7 @@ class Results(Shown):
     truth : Trajectory
         Reference at the output epochs.
     timing : mapping
-        ``filter_epochs``, ``filter_seconds``, ``wall_seconds``.
+        ``filter_epochs``, and ``wall_seconds``, which no other file than ``timing.json`` holds.
     manifest : mapping
         Resolved scenario, seed, versions, git revision.
     published : mapping
@@ -534,7 +534,7 @@ def summary(results: Results) -> dict[str, Any]:
         "realizations": results.realizations,
         "designs": designs,
         "comparisons": comparisons,
-        "timing": dict(results.timing),
+        "filter_epochs": results.timing["filter_epochs"],
     }
     if results.manifest.get("intake"):
         document["intake"] = results.manifest["intake"]

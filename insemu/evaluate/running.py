@@ -403,7 +403,6 @@ def collected(
         designs[name] = DesignInfo(n, (*NAVIGATION, *behind), belief.models)
     timing = {
         "filter_epochs": int((data if whole is None else whole.runs)["epochs"].sum()),
-        "filter_seconds": float((data if whole is None else whole.runs)["seconds"].sum()),
         "wall_seconds": seconds,
     }
     return Results(
@@ -415,7 +414,7 @@ def collected(
         outages=experiment.world.outage_windows,
         truth=experiment.world.truth_at_outputs,
         timing=timing,
-        manifest=manifest_of(experiment) | {"timing": timing},
+        manifest=manifest_of(experiment),
         published=s.published.figures if s.published else {},
         nees_dof=experiment.world.compared,
         tally=whole,

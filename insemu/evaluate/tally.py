@@ -31,7 +31,7 @@ BASE = 8
 DURING = ("planimetric_mean_m", "planimetric_max_m", "north_max_m", "east_max_m", "down_max_m")
 #: Quantiles over the realizations that are told at every epoch, and of what.
 LEVELS, SKETCHED = (0.05, 0.5, 0.95, 0.99), ("planimetric", "altimetric")
-_SCALARS = ("nis", "dof", "lag_sum", "lag_count", "rejected", "fixes", "epochs", "seconds")
+_SCALARS = ("nis", "dof", "lag_sum", "lag_count", "rejected", "fixes", "epochs")
 
 #: Values of every realization: dimensions behind design and realization, unit, meaning.
 RUNS: Mapping[str, tuple[tuple[str, ...], str, str]] = {

@@ -177,7 +177,9 @@ class LinearTwin:
             one = each.rows(np.isin(each.t, self._kept.t))
             noise[r, :, :3] = earth.position_difference(one.llh, self._kept.llh)
             if one.vel_ned is not None and self._kept.vel_ned is not None:
-                noise[r, :, 3:] = one.vel_ned - self._kept.vel_ned
+                noise[r, :, 3:] = np.nan_to_num(
+                    one.vel_ned - self._kept.vel_ned
+                )  # NaN of speed and course, which nothing uses
         out = {}
         for name in designs:
             moved = noise.copy()

@@ -30,6 +30,8 @@ TRACK_SPEED = 3.0
 REST_TILT = np.deg2rad(0.5)
 #: Standard deviation of a recorded velocity that states none, m/s.
 UNSTATED_VELOCITY = 0.3
+#: Standard deviation of a vertical velocity that is not recorded, m/s (a tenth of 10 m/s up a steep road).
+CLIMB = 1.0
 #: Where the fixes have no velocities: times to either side, s, over which positions are taken for a parabola.
 TRACK_REACH = (1.0, 2.0, 4.0, 8.0)
 #: A position is an outlier at the start beyond so many standard deviations, metres and a share of the way between two fixes, all added up: fixes
@@ -129,11 +131,13 @@ def sigma_of_fixes(gnss: GnssRecord) -> GnssRecord:
     """
 
     def scatter(values: Array, least: float) -> Array:
-        third = np.diff(values[np.isfinite(values).all(axis=1)], n=3, axis=0)
-        if len(third) < 5:
-            return np.full(3, 10.0 * least)
-        # 1, 3, 3, 1: variances add up to 20
-        return np.asarray(np.maximum(1.4826 * np.median(np.abs(third), axis=0) / np.sqrt(20.0), least))
+        known = np.isfinite(values)
+        present = known.any(axis=0)  # of speed and course no component down
+        third = np.diff(values[known[:, present].all(axis=1)][:, present], n=3, axis=0)
+        out = np.where(present, 10.0 * least, np.nan)
+        if len(third) >= 5:  # 1, 3, 3, 1: variances add up to 20
+            out[present] = np.maximum(1.4826 * np.median(np.abs(third), axis=0) / np.sqrt(20.0), least)
+        return out
 
     known = np.isfinite(gnss.llh).all(axis=1)
     place = None
@@ -163,10 +167,10 @@ def with_standard_deviations(
     out, said = sigma_of_fixes(known), dict[str, str]()
     for name, what, unit in (("pos_std_ned", "positions", "m"), ("vel_std_ned", "velocities", "m/s")):
         if getattr(known, name) is None and (value := getattr(out, name)) is not None:
-            north, east, down = value[0]
+            parts = {d: v for d, v in zip(("north", "east", "down"), value[0], strict=True) if np.isfinite(v)}
             said[what] = (
-                f"the fixes state no standard deviations of their {what}: {north:.2g}, {east:.2g}, {down:.2g} {unit} north, east, down are assumed "
-                "from their scatter"
+                f"the fixes state no standard deviations of their {what}: {', '.join(f'{v:.2g}' for v in parts.values())} {unit} {', '.join(parts)} "
+                "are assumed from their scatter"
             )
     return out, said
 
@@ -266,21 +270,22 @@ def first_track(gnss: GnssRecord, inside: NDArray[np.bool_], min_speed: float) -
     min_speed : float
         m/s; of positions also ten times what the speed is uncertain by.
     """
-    beside = gnss.vel_ned is not None and bool(np.isfinite(gnss.vel_ned[inside]).all(axis=1).any())
+    beside = gnss.vel_ned is not None and bool(np.isfinite(gnss.vel_ned[inside, :2]).all(axis=1).any())
     return _of_velocities(gnss, inside, min_speed) if beside else _of_positions(gnss, inside, min_speed)
 
 
 def _of_velocities(gnss: GnssRecord, inside: NDArray[np.bool_], min_speed: float) -> Track | None:
     assert gnss.vel_ned is not None
-    good = inside & np.isfinite(gnss.vel_ned).all(axis=1)
+    good = inside & np.isfinite(gnss.vel_ned[:, :2]).all(axis=1)
     moving = np.flatnonzero(good & ~_jumps(gnss) & (np.hypot(gnss.vel_ned[:, 0], gnss.vel_ned[:, 1]) > min_speed))
     if not moving.size:
         return None
     k = int(moving[0])
     near = np.flatnonzero(good & (np.abs(gnss.t - gnss.t[k]) < 1.1))
-    slope = np.polyfit(gnss.t[near] - gnss.t[k], gnss.vel_ned[near], 1)[0] if near.size > 1 else np.zeros(3)
+    velocity = np.nan_to_num(gnss.vel_ned)
+    slope = np.polyfit(gnss.t[near] - gnss.t[k], velocity[near], 1)[0] if near.size > 1 else np.zeros(3)
     sigma = gnss.vel_std_ned[k] if gnss.vel_std_ned is not None else np.full(3, UNSTATED_VELOCITY)
-    return Track(k, gnss.vel_ned[k], slope, sigma)
+    return Track(k, velocity[k], slope, np.where(np.isfinite(gnss.vel_ned[k]), sigma, CLIMB))
 
 
 def _jumps(gnss: GnssRecord) -> NDArray[np.bool_]:

@@ -13,17 +13,16 @@ never tells the heading is refused.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, rotation
-from insemu.compiled import njit
 from insemu.errors import InputError
 from insemu.filters.alignment import Alignment, level, sigma_of_fixes
 from insemu.filters.ekf import LooselyCoupledEKF
+from insemu.filters.integrals import Integrals
 from insemu.filters.options import FilterOptions, InitialSigma
 from insemu.filters.rest import BIAS_SIGMA, Quiet, quiet_stretches
 from insemu.noise import RC, WN
@@ -37,7 +36,7 @@ STRETCHES = (5.0, 10.0, 20.0, 40.0, 80.0)
 #: Where the first motion does not tell the heading, later ones so many seconds apart may.
 AGAIN_S = 40.0
 #: A stretch is long enough when the heading's standard deviation is below this, rad; the filter goes on to the second, or ends at the third.
-COARSE, FINE, WORST = np.deg2rad([8.0, 2.0, 5.0])
+COARSE, FINE, WORST = np.deg2rad([10.0, 2.0, 5.0])
 #: Normalised residuals or innovations squared per degree of freedom from which least squares or the filter is on a wrong solution.
 LOST = 9.0
 #: Standard deviation of a bias of the accelerometers, m/s^2 (consumer MEMS, 30 mg).
@@ -48,125 +47,22 @@ IMPLAUSIBLE = 10.0
 DRIFT_S = 30.0
 #: Unknowns: place, velocity, attitude at the start, biases of gyroscopes and accelerometers, drift of the fixes.
 SIZE = 18
+#: Numbers of one axis that a residual is linear in: place, velocity, drift, and a row of the attitude times 1 and each bias.
+LINEAR = 24
 #: Factor on what least squares says, for what it does not know: noise of the IMU, scale factors, errors of fixes that last for seconds.
 CAUTION = 1.5
 #: Least standard deviations at the start: tilt, heading (rad), velocity (m/s).
 LEAST_TILT, LEAST_HEADING, LEAST_VELOCITY = np.deg2rad(0.3), np.deg2rad(1.0), 0.05
 #: Headings that the search starts from, and by what another one has to be worse (chi-square, 1 degree of freedom, 1e-4).
 HEADINGS, WORSE = 8, 15.1
+#: Least squares turn by no more than this at once, rad, and end where a turn promises less of chi-square than the second.
+LONGEST_TURN, GAIN = 0.7, 1e-6
+#: Rounds of least squares at most between two renewals of what is linear in the biases, and how many times it is renewed for a stretch.
+ROUNDS, RENEWED = 8, 3
 #: Attitudes that are further apart than this are two solutions, rad.
 APART = 0.3
 #: Fixes kept of a stretch at most, and the step that the IMU is summed to, s.
 MOST_FIXES, STEP_S = 400, 0.02
-
-
-@njit(cache=True, nogil=True)
-def _chain(angles: Array, turn: Array, dt: Array, out: Array) -> None:
-    """Attitudes (n, 3, 3) relative to the first, from angle increments (n, 3) and the rate of the local frame in the first axes (rad/s)."""
-    Q = np.eye(3)
-    out[0] = Q
-    w = np.empty(3)
-    for k in range(1, angles.shape[0]):
-        for i in range(3):
-            w[i] = angles[k, i] - (Q[0, i] * turn[0] + Q[1, i] * turn[1] + Q[2, i] * turn[2]) * dt[k]
-        W = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
-        size2 = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
-        if size2 > 1e-12:
-            size = math.sqrt(size2)
-            Q = Q + Q @ ((math.sin(size) / size) * W + ((1.0 - math.cos(size)) / size2) * (W @ W))
-        else:
-            Q = Q + Q @ (W + 0.5 * (W @ W))
-        out[k] = Q
-
-
-def attitudes(angles: Array, turn: Array, dt: Array) -> Array:
-    """Attitudes (n, 3, 3) relative to the first.
-
-    Parameters
-    ----------
-    angles : (n, 3) array
-        Angle increments, rad.
-    turn : (3,) array
-        Rate of the local frame in the first axes, rad/s.
-    dt : (n,) array
-        Steps, s.
-    """
-    out = np.empty((len(angles), 3, 3))
-    _chain(np.ascontiguousarray(angles), turn, np.ascontiguousarray(dt), out)
-    return out
-
-
-def _skew(v: Array) -> Array:
-    """Matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
-    out = np.zeros((*v.shape, 3))
-    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    return np.asarray(out - np.swapaxes(out, -1, -2))
-
-
-@dataclass(frozen=True)
-class _Integrals:
-    """What the IMU says between the start of a stretch and each fix (f fixes), in the body axes at the start.
-
-    ``Q`` (f, 3, 3) attitude, ``T`` its integral; ``velocity``, ``place`` (f, 3) integrals of the specific force; ``v_bg``, ``v_ba``, ``p_bg``,
-    ``p_ba`` (f, 3, 3) their derivatives by the biases of gyroscopes and accelerometers; ``arm``, ``swing`` (f, 3) of the antenna; ``bias`` (6,)
-    what was taken off.
-    """
-
-    Q: Array
-    T: Array
-    velocity: Array
-    place: Array
-    v_bg: Array
-    p_bg: Array
-    p_ba: Array
-    arm: Array
-    swing: Array
-    bias: Array
-
-    @property
-    def v_ba(self) -> Array:
-        """Derivative of the velocity by the accelerometers' biases."""
-        return -self.T
-
-    @classmethod
-    def of(cls, r: ImuRecord, at: Array, bias: Array, turn: Array, lever_arm: Array) -> _Integrals:
-        """Integrate a record of increments, less ``bias`` (6,), to the times ``at`` (f,); ``turn`` (3,) as in :func:`_chain`."""
-        step = np.diff(r.t, prepend=r.t[0])
-        width = step[:, None]
-        angles, force = r.gyro - bias[:3] * width, r.accel - bias[3:] * width
-        Q = attitudes(angles, turn, step)
-        mid = Q + 0.5 * Q @ _skew(angles)
-        mid = np.concatenate([Q[:1], Q[:-1] + (mid[1:] - Q[1:])]) if len(r) > 1 else Q
-        dv = np.einsum("kij,kj->ki", mid, force)
-        dv[0] = 0.0
-        square = step[:, None, None]
-
-        def summed(x: Array) -> Array:
-            return np.cumsum(x, axis=0)
-
-        def before(x: Array) -> Array:
-            return np.concatenate([np.zeros_like(x[:1]), x[:-1]])
-
-        T = summed(mid * square)
-        velocity = summed(dv)
-        v_bg = summed(_skew(dv) @ before(T))
-        place = summed(before(velocity) * width + 0.5 * dv * width)
-        p_bg = summed((before(v_bg) + 0.5 * np.diff(v_bg, axis=0, prepend=0.0)) * square)
-        p_ba = -summed((before(T) + 0.5 * mid * square) * square)
-        k = np.searchsorted(r.t, at).clip(1, len(r) - 1)
-        share = (at - r.t[k - 1]) / step[k]
-
-        def there(x: Array) -> Array:
-            h = share.reshape(-1, *([1] * (x.ndim - 1)))
-            return np.asarray((1.0 - h) * x[k - 1] + h * x[k])
-
-        attitude = there(Q)
-        near = angles[np.stack([k, np.minimum(k + 1, len(r) - 1)])].mean(axis=0) / step[k][:, None]
-        arm = attitude @ lever_arm
-        swing = np.einsum("kij,kj->ki", attitude, np.cross(near - np.einsum("kji,j->ki", attitude, turn), lever_arm))
-        return cls(
-            attitude, there(T), there(velocity), there(place), there(v_bg), there(p_bg), there(p_ba), arm, swing, bias
-        )
 
 
 @dataclass(frozen=True)
@@ -178,7 +74,7 @@ class _Fit:
     covariance: Array
     chi2: float
     dof: int
-    integrals: _Integrals
+    integrals: Integrals
     span: float
 
     @property
@@ -201,8 +97,8 @@ class _Fit:
         i, C, t = self.integrals, self.C, self.span
         J = np.eye(15)
         J[0:3, 3:6] = t * np.eye(3)
-        J[0:3, 6:9] = -_skew(C @ i.place[-1])
-        J[3:6, 6:9] = -_skew(C @ i.velocity[-1])
+        J[0:3, 6:9] = -rotation.skew(C @ i.place[-1])
+        J[3:6, 6:9] = -rotation.skew(C @ i.velocity[-1])
         J[0:3, 9:12], J[0:3, 12:15] = C @ i.p_bg[-1], C @ i.p_ba[-1]
         J[3:6, 9:12], J[3:6, 12:15] = C @ i.v_bg[-1], C @ i.v_ba[-1]
         J[6:9, 9:12] = -C @ i.T[-1]
@@ -223,99 +119,129 @@ class _Stretch:
     earth_rate: Array
     lever_arm: Array
 
-    def integrals(self, C: Array, bias: Array) -> _Integrals:
+    def integrals(self, C: Array, bias: Array) -> Integrals:
         """The IMU over the stretch less ``bias`` (6,), started in the attitude ``C``."""
-        return _Integrals.of(self.imu, self.t + self.imu.t[0], bias, C.T @ self.earth_rate, self.lever_arm)
+        return Integrals.of(self.imu, self.t + self.imu.t[0], bias, C.T @ self.earth_rate, self.lever_arm)
 
-    def solve(self, C: Array, x: Array, prior: tuple[Array, Array], i: _Integrals, rounds: int = 15) -> _Fit:
-        """Gauss-Newton from the attitude ``C`` and the rest of the estimate ``x`` (18,).
+    def _compressed(self, i: Integrals) -> Array:
+        """The fixes as at most :data:`LINEAR` + 1 rows for each axis, (3, k, LINEAR + 1), which any start has the same residuals of.
 
-        ``prior`` is the mean (6,) and covariance (6, 6) of the biases; the integrals are linear in the biases about those they were made with.
+        A residual is linear in place, velocity and drift of its axis, in the attitude's row of that axis, and in that row times each bias: an
+        orthogonal transformation of the weighted fixes (QR) leaves their squares as they are.
         """
-        information = np.zeros((SIZE, SIZE))
+        t, none, one = self.t[:, None], np.zeros((self.t.size, 1)), np.ones((self.t.size, 1))
+        down = np.array([0.0, 0.0, self.gravity])
+        # the attitude at the fix moves with the gyroscope's bias, and the antenna with it
+        parts = (
+            ([one, t, t], i.place, i.p_bg, i.p_ba, i.arm, self.place - 0.5 * down * t**2, self.place_sigma),
+            ([none, one, none], i.velocity, i.v_bg, i.v_ba, i.swing, self.velocity - down * t, self.velocity_sigma),
+        )
+        rows = []
+        for start, moved, by_gyro, by_accel, antenna, left, sigma in parts:
+            by = np.concatenate(
+                [(moved + antenna)[:, :, None], by_gyro + rotation.skew(antenna) @ i.T, by_accel], axis=2
+            ).reshape(-1, 21)
+            weight = np.where(np.isfinite(left) & np.isfinite(sigma), 1.0 / sigma, 0.0)
+            linear = np.broadcast_to(np.hstack([*start, by]), (3, self.t.size, LINEAR))
+            rows.append(np.concatenate([linear, np.nan_to_num(left).T[:, :, None]], axis=2) * weight.T[:, :, None])
+        return np.asarray(np.linalg.qr(np.concatenate(rows, axis=1), mode="r"))
+
+    def solve(self, C: Array, x: Array, prior: tuple[Array, Array], integrals: list[Integrals]) -> list[_Fit]:
+        """Gauss-Newton from several attitudes ``C`` (h, 3, 3) and the rest of each estimate ``x`` (h, 18), side by side.
+
+        ``prior`` is the mean (6,) and covariance (6, 6) of the biases; the ``integrals``, of each or one for all, are linear in the biases about
+        those they were made with.
+        """
+        information, mean = np.zeros((SIZE, SIZE)), np.concatenate([np.zeros(9), prior[0], np.zeros(3)])
         information[6:9, 6:9] = np.eye(3) / np.pi**2  # no angle is less certain than half a turn
         information[9:15, 9:15] = np.linalg.inv(prior[1])
         information[15:, 15:] = np.diag((DRIFT_S / np.nanmin(self.place_sigma, axis=0)) ** 2)
-        best: _Fit | None = None
-        for _ in range(rounds):
-            normal, right, cost, count = self._normal(C, x, i)
-            away = x - np.concatenate([x[:9], prior[0], np.zeros(3)])
-            total = information + normal
-            cost += float(away @ information @ away)
-            right -= information @ away
-            scale = 1.0 / np.sqrt(np.diag(total))
-            covariance = scale[:, None] * np.linalg.pinv(total * np.outer(scale, scale), rcond=1e-13) * scale
-            if best is None or cost < best.chi2:
-                best = _Fit(C, x.copy(), covariance, cost, count - 9, i, float(self.t[-1]))
-            move = covariance @ right
-            size = float(np.linalg.norm(move[6:9]))
-            if size > 0.7:
-                move = move * (0.7 / size)
-            C = rotation.dcm_from_quaternion(rotation.quaternion_from_vector(move[6:9])) @ C
-            x = x + move
-            x[6:9] = 0.0
-            if size < 1e-5:
-                break
-        assert best is not None
-        return best
-
-    def _normal(self, C: Array, x: Array, i: _Integrals) -> tuple[Array, Array, float, int]:
-        """Normal matrix, right-hand side, weighted sum of squares and number of the residuals at an estimate."""
-        t = self.t[:, None]
-        down = np.array([0.0, 0.0, self.gravity])
-        bg, ba = x[9:12] - i.bias[:3], x[12:15] - i.bias[3:]
-        moved = i.place + i.arm + i.p_bg @ bg + i.p_ba @ ba + _skew(i.arm) @ i.T @ bg
-        gained = i.velocity + i.swing + i.v_bg @ bg + i.v_ba @ ba + _skew(i.swing) @ i.T @ bg
-        place = x[:3] + (x[3:6] + x[15:]) * t + 0.5 * down * t**2 + moved @ C.T
-        velocity = x[3:6] + down * t + gained @ C.T
-        normal, right, cost, count = np.zeros((SIZE, SIZE)), np.zeros(SIZE), 0.0, 0
-        eye = np.broadcast_to(np.eye(3), (t.size, 3, 3))
-        none = np.zeros_like(eye)
-        parts = (
-            (
-                self.place - place,
-                self.place_sigma,
-                eye,
-                eye * t[:, :, None],
-                moved,
-                i.p_bg,
-                i.p_ba,
-                i.arm,
-                eye * t[:, :, None],
-            ),
-            (self.velocity - velocity, self.velocity_sigma, none, eye, gained, i.v_bg, i.v_ba, i.swing, none),
+        rows, bias = np.stack([self._compressed(i) for i in integrals]), np.stack([i.bias for i in integrals])
+        dof = (
+            int(
+                np.isfinite(self.place * self.place_sigma).sum()
+                + np.isfinite(self.velocity * self.velocity_sigma).sum()
+            )
+            - 9
         )
-        for residual, sigma, dp, dv, turned, by_gyro, by_accel, antenna, drift in parts:
-            # the attitude at the fix moves with the gyroscope's bias, and the antenna with it
-            first = C @ (by_gyro + _skew(antenna) @ i.T)
-            H = np.concatenate([dp, dv, -_skew(turned @ C.T), first, C @ by_accel, drift], axis=2).reshape(-1, SIZE)
-            r, s = residual.ravel(), sigma.ravel()
-            use = np.isfinite(r) & np.isfinite(s)
-            H, r, w = H[use], r[use], 1.0 / s[use] ** 2
-            normal += H.T @ (w[:, None] * H)
-            right += H.T @ (w * r)
-            cost += float(w @ r**2)
-            count += int(use.sum())
-        return normal, right, cost, count
+        least, best, going = (
+            np.full(len(C), np.inf),
+            [(C[0], x[0], information)] * len(C),
+            np.ones((len(C), 1), dtype=bool),
+        )
+        for _ in range(ROUNDS):
+            left, H = _residuals(rows, C, x, bias)
+            away = np.where(np.arange(SIZE) < 9, 0.0, x - mean)
+            total = information + H.swapaxes(1, 2) @ H
+            cost = (left**2).sum(axis=1) + ((away @ information) * away).sum(axis=1)
+            right = (left[:, None] @ H)[:, 0] - away @ information
+            scale = 1.0 / np.sqrt(np.diagonal(total, axis1=1, axis2=2))
+            both = scale[:, :, None] * scale[:, None]
+            covariance = np.linalg.inv(total * both) * both
+            for k in np.flatnonzero(cost < least):
+                least[k], best[k] = cost[k], (C[k], x[k], covariance[k])
+            move = np.where(going, (covariance @ right[:, :, None])[:, :, 0], 0.0)
+            size = np.linalg.norm(move[:, 6:9], axis=1, keepdims=True)
+            move *= np.minimum(1.0, LONGEST_TURN / np.maximum(size, LONGEST_TURN))
+            C = rotation.dcm_from_vector(move[:, 6:9]) @ C
+            x = (x + move) * ((np.arange(SIZE) < 6) | (np.arange(SIZE) >= 9))
+            going &= ((right[:, None] @ move[:, :, None])[:, 0] >= GAIN) | (size > LONGEST_TURN)
+            if not going.any():
+                break
+        of = integrals if len(integrals) > 1 else integrals * len(C)
+        return [_Fit(*b, float(c), dof, i, float(self.t[-1])) for b, c, i in zip(best, least, of, strict=True)]
 
-    def best(self, prior: tuple[Array, Array]) -> tuple[_Fit, float]:
-        """The best of several headings, and by how much a fit with another heading is worse."""
-        i = self.integrals(np.zeros((3, 3)), prior[0])
-        # over the stretch the specific force points up but for the change of velocity
-        roll, pitch = level(i.velocity[-1])
-        x = np.zeros(SIZE)
-        x[9:15] = prior[0]
-        fits: list[_Fit] = []
-        for heading in np.arange(HEADINGS) * 2.0 * np.pi / HEADINGS - np.pi:
-            fit = self.solve(rotation.dcm_from_rpy(np.array([roll, pitch, heading])), x, prior, i)
-            if not any(np.linalg.norm(rotation.vector_from_dcm(fit.C @ f.C.T)) < APART for f in fits):
-                fits.append(fit)
-        fits = sorted(fits, key=lambda f: f.chi2)[:3]
-        for _ in range(3):
-            fits = [self.solve(f.C, f.x, prior, self.integrals(f.C, f.x[9:15])) for f in fits]
-        fits.sort(key=lambda f: f.chi2)
-        others = [f.chi2 for f in fits[1:] if np.linalg.norm(rotation.vector_from_dcm(f.C @ fits[0].C.T)) >= APART]
-        return fits[0], (min(others, default=np.inf) - fits[0].chi2) / fits[0].scale()
+    def best(self, prior: tuple[Array, Array], near: list[_Fit]) -> tuple[list[_Fit], float]:
+        """Fits apart from each other, the best first, and by how much the second is worse.
+
+        They begin at those of a shorter stretch, ``near``, and where there are none at several headings. What is linear in the biases is renewed
+        after each turn, so that a long stretch does not lose what a short one has found.
+        """
+        fits = near
+        if not fits:
+            again = [self.integrals(np.zeros((3, 3)), prior[0])]
+            # over the stretch the specific force points up but for the change of velocity
+            roll, pitch = level(again[0].velocity[-1])
+            headings = np.arange(HEADINGS) * 2.0 * np.pi / HEADINGS - np.pi
+            x = np.tile(np.concatenate([np.zeros(9), prior[0], np.zeros(3)]), (HEADINGS, 1))
+            C = rotation.dcm_from_rpy(np.stack(np.broadcast_arrays(roll, pitch, headings), axis=1))
+        for _ in range(RENEWED):
+            if fits:
+                again = [self.integrals(f.C, f.x[9:15]) for f in fits]
+                C, x = np.stack([f.C for f in fits]), np.stack([f.x for f in fits])
+            fits = []
+            for fit in sorted(self.solve(C, x, prior, again), key=lambda f: f.chi2):
+                if all(_apart(fit, f) for f in fits):
+                    fits.append(fit)
+        return fits, (fits[1].chi2 - fits[0].chi2) / fits[0].scale() if len(fits) > 1 else np.inf
+
+
+def _apart(one: _Fit, other: _Fit) -> bool:
+    """Whether the attitudes of two fits are two solutions."""
+    return bool(np.linalg.norm(rotation.vector_from_dcm(one.C @ other.C.T)) >= APART)
+
+
+def _residuals(rows: Array, C: Array, x: Array, bias: Array) -> tuple[Array, Array]:
+    """Residuals (h, 3 k) at estimates of the rows (h or 1, 3, k, :data:`LINEAR` + 1) that :meth:`_Stretch._compressed` gives, and their derivatives
+    (h, 3 k, 18) by what the estimates are off; ``bias`` (h or 1, 6) is that of the integrals.
+    """
+    h = len(C)
+    by = np.concatenate([np.ones((h, 1)), x[:, 9:15] - bias], axis=1)
+    linear = np.empty((h, 3, LINEAR))
+    linear[:, :, :3] = np.stack([x[:, :3], x[:, 3:6], x[:, 15:]], axis=2)
+    linear[:, :, 3:] = (C[..., None] * by[:, None, None]).reshape(h, 3, 21)
+    moved = np.zeros((h, 3, LINEAR, SIZE))
+    axis, k = np.arange(3), np.arange(6)
+    for row, first in enumerate((0, 3, 15)):
+        moved[:, axis, row, first + axis] = 1.0
+    turned = moved[:, :, 3:].reshape(h, 3, 3, 7, SIZE)
+    turned[..., 6:9] = (
+        np.moveaxis(rotation.skew(np.eye(3)) @ C[:, None], 1, -1)[..., None, :] * by[:, None, None, :, None]
+    )
+    turned[:, :, :, 1 + k, 9 + k] = C[..., None]
+    moved[:, :, 3:] = turned.reshape(h, 3, 21, SIZE)
+    left = rows[..., LINEAR] - (rows[..., :LINEAR] @ linear[..., None])[..., 0]
+    return left.reshape(h, -1), (rows[..., :LINEAR] @ moved).reshape(h, -1, SIZE)
 
 
 def _thinned(r: ImuRecord) -> ImuRecord:
@@ -419,14 +345,17 @@ def align_in_motion(
     prior = _bias_prior(quiet)
     noise = white_noise(r)
     arm = np.asarray(lever_arm, dtype=np.float64)
+    coarse = _thinned(r)
     said = "fewer than five fixes after the first motion"
     for start in _moves_from(fixes):
+        near: list[_Fit] = []
         for span in STRETCHES:
             stop = int(np.searchsorted(fixes.t, fixes.t[start] + min(span, longest) + 1e-6)) - 1
             if stop - start < 4:
                 continue
-            stretch = _stretch(_thinned(r), fixes, start, stop, arm, gravity, noise)
-            fit, margin = stretch.best(prior)
+            stretch = _stretch(coarse, fixes, start, stop, arm, gravity, noise)
+            near, margin = stretch.best(prior, near)
+            fit = near[0]
             said = f"its standard deviation after {stretch.t[-1]:.0f} s is {np.rad2deg(min(fit.heading_sigma, np.pi)):.1f} deg"
             if fit.heading_sigma <= COARSE and margin > WORSE and fit.plausible:
                 found = _refined(fit, stretch, r, fixes, arm, gravity, noise, longest)

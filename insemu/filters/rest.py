@@ -132,7 +132,7 @@ def _fast(t: Array, gnss: GnssRecord | None, speed: float) -> NDArray[np.bool_]:
     """(k,) Whether the fixes about the times ``t`` are faster than ``speed``."""
     if gnss is None or gnss.vel_ned is None:
         return np.zeros(t.size, dtype=bool)
-    known = np.isfinite(gnss.vel_ned).all(axis=1)
+    known = np.isfinite(gnss.vel_ned[:, :2]).all(axis=1)
     if not known.any():
         return np.zeros(t.size, dtype=bool)
     return np.asarray(np.interp(t, gnss.t[known], np.linalg.norm(gnss.vel_ned[known, :2], axis=1)) > speed)
@@ -250,7 +250,7 @@ def never_moves(
     if gnss.vel_ned is None:
         return True
     spread = 0.0 if gnss.vel_std_ned is None else float(np.nanmax(gnss.vel_std_ned))
-    speeds = np.abs(gnss.vel_ned[np.isfinite(gnss.vel_ned).all(axis=1)])
+    speeds = np.abs(gnss.vel_ned[np.isfinite(gnss.vel_ned)])
     return not speeds.size or float(speeds.max()) < max(speed, 6.0 * spread)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from insemu import earth
+from insemu.blas import on_one_thread
 from insemu.errors import InputError
 from insemu.filters.alignment import Alignment, align
 from insemu.filters.motion import align_in_motion
@@ -39,6 +40,7 @@ def at_state(imu: ImuRecord, known: InitialState) -> Alignment:
     return Alignment(float(imu.t[row]), row, state, sigma, nothing, nothing, ())
 
 
+@on_one_thread
 def start(
     imu: ImuRecord,
     gnss: GnssRecord,

@@ -19,7 +19,8 @@ from insemu import earth, rotation
 from insemu.errors import InputError
 from insemu.filters.alignment import LARGEST_HEADING_SIGMA, Alignment, sigma_of_fixes
 from insemu.filters.ekf import LooselyCoupledEKF
-from insemu.filters.motion import ACCEL_BIAS, LEAST_HEADING, LEAST_TILT, LEAST_VELOCITY, attitudes, white_noise
+from insemu.filters.integrals import attitudes
+from insemu.filters.motion import ACCEL_BIAS, LEAST_HEADING, LEAST_TILT, LEAST_VELOCITY, white_noise
 from insemu.filters.options import FilterOptions, InitialSigma
 from insemu.filters.rest import BIAS_SIGMA, rests
 from insemu.filters.smoother import smooth
@@ -41,6 +42,8 @@ STEP_S = 0.05
 FIRST_S, FEWEST, LONGEST_S = 5.0, 4, 20.0
 #: A fix this many standard deviations from the others of these seconds is left out, as the last of so many turns of weighted least squares says.
 FAR, TURNS = 5.0, 20
+#: Share of good fixes that are rejected on the way, so that outliers pull nothing.
+GATE = 1e-4
 #: A step of the IMU longer than this is not crossed, s.
 BRIDGED_S = 1.0
 
@@ -147,16 +150,18 @@ def _after(
     unknown = np.repeat([BIAS_SIGMA, ACCEL_BIAS], 3)
     told = np.isfinite(later.bias)
     bias = np.where(told, later.bias, 0.0)
-    sd = np.where(told, np.minimum(later.bias_sigma, unknown), unknown)
+    sd = np.where(told, np.minimum(np.repeat([1.0, CAUTION], 3) * later.bias_sigma, unknown), unknown)
     walks = [size / np.sqrt(AFTER_S) for size in WALK]
     belief = {
         sensor: WN(N=white) + RW(K=float(walk), sigma0=float(sigma))
         for sensor, white, walk, sigma in zip(("gyro", "accel"), noise, walks, unknown[[0, 3]], strict=True)
     }
     every = max(1, round(STEP_S / r.dt))
-    options = FilterOptions(store="fixes", covariance_every=every, output_every=100 * every)
+    options = FilterOptions(store="fixes", covariance_every=every, output_every=100 * every, gate=GATE)
     ekf = LooselyCoupledEKF(belief, r.dt, lever_arm=lever_arm, gravity=gravity, options=options)
-    P = np.diag(np.concatenate([later.sigma.to_array(), sd]) ** 2)
+    # errors of tilt and of the accelerometers go together, of which an alignment tells the standard deviations only
+    nine = later.sigma.to_array() * np.array([*np.ones(6), CAUTION, CAUTION, 1.0])
+    P = np.diag(np.concatenate([nine, sd]) ** 2)
     run = ekf.run(span, fixes.rows(fixes.t > later.t), later.state, P, initial_states=bias)
     s, used = smooth(run), run.fixes.accepted
     scale = max(1.0, float(run.fixes.nis[used].sum() / max(run.fixes.dof[used].sum(), 1)))

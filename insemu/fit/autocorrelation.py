@@ -16,7 +16,7 @@ from insemu.denoise import Rule, denoise
 from insemu.errors import InputError
 from insemu.fit.result import FitResult
 from insemu.fit.slopes import Read, around, assembled
-from insemu.noise import GM, WN, NoiseModel, Process
+from insemu.noise import GM, WN, NoiseModel
 from insemu.records import Series
 from insemu.variance import autocorrelation
 
@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 #: Lags that the line goes through.
 _LAGS = 12
+#: A relative standard error above which a figure is not given: its interval would span more than a decade.
+UNREAD = 0.6
 
 
 def fit_autocorrelation(
@@ -63,14 +65,21 @@ def fit_autocorrelation(
     covariance = autocorrelation(smooth, series.rate_hz, max_lag_s=most * dt).covariance
     found = _line(covariance, first, dt, n)
     if found is None:
-        gone: list[Read] = [
-            (_zero(p, n * dt), {}, f"{p.symbol}: no correlation; its variance is set to zero") for p in model
-        ]
-        return assembled(series, model, gone, "autocorrelation", {})
+        level = math.sqrt(float(x @ x) / n * dt)
+        alone: dict[str, Read] = {
+            "GM": (GM(0.0, 1.0 / (n * dt)), {}, "GM: no correlation; its variance is set to zero"),
+            "WN": (WN(level), {"N": around(level, math.sqrt(0.5 / n))}, ""),
+        }
+        return assembled(series, model, [alone[p.symbol] for p in model], "autocorrelation", {})
     lags, sigma2, beta = found
     white = max(float(x @ x) / n + _lost(sigma2, beta, n * dt) - sigma2, 0.0) * dt if "WN" in kinds else 0.0
     t = np.asarray(lags * dt, dtype=np.float64)
     errors = _errors(t, sigma2, beta, white, n * dt, 2**denoise_levels * dt)
+    if errors.max() > UNREAD:
+        raise InputError(
+            f"{series.name}: white noise hides the autocorrelation: correlation time {1.0 / beta:.3g} s with a standard error of {errors[1]:.0%}, "
+            f"variance {errors[0]:.0%}; expected at most {UNREAD:.0%}. De-noise first, or fit by the method gmwm"
+        )
     sigma = math.sqrt(sigma2)
     spread = {"sigma": around(sigma, 0.5 * errors[0]), "beta": around(beta, errors[1])}
     note = ""
@@ -136,7 +145,3 @@ def _errors(t: Array, sigma2: float, beta: float, white: float, duration: float,
     line = np.linalg.pinv(np.column_stack([np.ones_like(t), -t]))
     spread = np.sqrt(np.diag(line @ relative @ line.T))
     return np.array([spread[0], spread[1] / beta])
-
-
-def _zero(p: Process, duration: float) -> Process:
-    return GM(0.0, 1.0 / duration) if isinstance(p, GM) else p.with_parameters({p.level.name: 0.0})

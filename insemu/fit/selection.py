@@ -4,7 +4,8 @@ All candidates are weighed by one matrix, the inverse covariance of the curve un
 comparable: the difference between nested models is then a chi-square with as many degrees of freedom as parameters differ. The criterion
 adds twice the optimism ``tr(cov(curve, fitted) Omega)`` (Zhang, Guerrier, Molinari 2015; section 4 of Balamuta et al. 2016), which is two per
 parameter with these weights. Its minimum alone would take a superfluous process in every sixth comparison; therefore the simplest model
-is chosen from which no richer one differs by more than chance produces.
+is chosen that its own test of fit accepts and from which no richer one differs by more than chance produces, each comparison made in the
+weights of the simpler model.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 
 from insemu.errors import InputError
 from insemu.fit.covariance import covariance_of_curve
-from insemu.fit.gmwm import fit_curve, interval_widths, refit
+from insemu.fit.gmwm import fit_curve, goodness_of_fit, interval_widths, refit
 from insemu.fit.minimum import Solution, root_of_inverse, search
 from insemu.fit.result import Criterion, FitResult
 from insemu.fit.robust import cleaned_curve
@@ -44,8 +45,6 @@ CHANCE = 1e-4
 #: The same where no candidate follows the curve: distances then hold more of what the candidates miss than of chance, and a real log's slow
 #: part must not be given up for it.
 CHANCE_OF_MISFITS = 1e-2
-#: Beyond this surplus a simpler model's own weights are not asked.
-CLEAR = 2000.0
 #: Scales with fewer degrees of freedom under the reference are left out: their scatter is far from normal.
 RANK_DOF = 10.0
 
@@ -206,6 +205,7 @@ def rank_models(
     if not candidates:
         raise InputError("no candidate model given; expected at least one")
     structures = [Structure.of(c, curve.rate_hz) for c in candidates]
+    unrated = {id(s): c for s, c in zip(structures, candidates, strict=True)}
     scale, value = curve.scale_samples, curve.value
     if not (value > 0).all():
         raise InputError(f"{name}: the wavelet variance is zero at some scale; a constant signal has no noise to model")
@@ -237,26 +237,12 @@ def rank_models(
         alive = solve(covariance)
     W = root_of_inverse(covariance)
     ranked = [
-        _candidate(structure, best, p, scale, W, covariance, _unrated(structure, candidates, structures))
-        for structure, best, p in alive
+        _candidate(structure, best, p, scale, W, covariance, unrated[id(structure)]) for structure, best, p in alive
     ]
     ranked.sort(key=lambda c: (c.criterion.value, c.parameters))
 
-    def gain_under(simple: Candidate, rich: Candidate) -> float:
-        """How much nearer the richer model is in the weights of the simpler one."""
-        own = covariance_of_curve(simple.model, curve, scale) / efficiency
-        own = own + np.diag((discrepancy * V[2][use]) ** 2)
-        W = root_of_inverse(own)
-        distance = []
-        for c in (simple, rich):
-            structure = Structure.of(c.structure, curve.rate_hz)
-            at = structure.internal(c.model)[1]
-            starts = np.vstack([at[None, :], structure.starts(n, 200)])
-            near = search(structure, scale, value, W, n, at[None, :])
-            distance.append(min(near.objective, search(structure, scale, value, W, n, starts, refined=3).objective))
-        return distance[0] - distance[1]
-
-    chosen = _choose(ranked, gain_under, CHANCE_OF_MISFITS if discrepancy > 0 else CHANCE)
+    under = _Under(curve, use, discrepancy * V[2], efficiency)
+    chosen = _choose(ranked, under, CHANCE_OF_MISFITS if discrepancy > 0 else CHANCE)
     result = _fit_of(chosen, curve, discrepancy * V[2], efficiency, unit, name)
     if discrepancy > 0:
         note = (
@@ -336,11 +322,6 @@ def _discrepancy(
     return high
 
 
-def _unrated(structure: Structure, candidates: Sequence[NoiseModel], structures: list[Structure]) -> NoiseModel:
-    """The candidate as it was given (without the rate that the structure took)."""
-    return candidates[next(i for i, s in enumerate(structures) if s is structure)]
-
-
 def _reference_covariance(
     curve: WaveletVariance, references: Iterable[NoiseModel], efficiency: float
 ) -> tuple[Array, Array, Array]:
@@ -383,38 +364,72 @@ def _optimism(structure: Structure, best: Solution, scale: NDArray[np.int64], W:
     return float(np.trace(H @ W @ V @ W.T))
 
 
-def _allowance(more: int, chance: float) -> float:
-    """How much nearer a model with so many more parameters must be: the upper quantile of the chi-square of chance."""
-    return float(scipy.special.chdtri(more, chance))
+class _Under:
+    """Candidates in the weights of one of them: the covariance of the curve if that candidate is true, and what every candidate misses."""
+
+    def __init__(self, curve: WaveletVariance, use: NDArray[np.bool_], missed: Array, efficiency: float) -> None:
+        self.curve, self.use, self.missed, self.efficiency = curve, use, missed, efficiency
+        self.scale, self.value = curve.scale_samples[use], curve.value[use]
+        self._found: dict[int, tuple[Array, Array]] = {}
+
+    def _weights(self, c: Candidate) -> tuple[Array, Array]:
+        """Covariance of the whole curve, and the root of the weights of the scales in use."""
+        if id(c) not in self._found:
+            own = covariance_of_curve(c.model, self.curve) / self.efficiency + np.diag(self.missed**2)
+            self._found[id(c)] = own, root_of_inverse(own[np.ix_(self.use, self.use)])
+        return self._found[id(c)]
+
+    def _nearest(self, c: Candidate, W: Array) -> tuple[Structure, Solution]:
+        structure, n = Structure.of(c.structure, self.curve.rate_hz), self.curve.n_samples
+        at = structure.internal(c.model)[1]
+        starts = np.vstack([at[None, :], structure.starts(n, 200)])
+        near = search(structure, self.scale, self.value, W, n, at[None, :])
+        wide = search(structure, self.scale, self.value, W, n, starts, refined=3)
+        return structure, min((near, wide), key=lambda solution: solution.objective)
+
+    def gain(self, simple: Candidate, rich: Candidate) -> float:
+        """How much nearer the richer model is than the simpler one if the simpler one is true.
+
+        The variance of a scale is close to a multiple of a chi-square, whose cube root is nearly normal (Wilson and Hilferty 1931). Distances
+        of cube roots therefore keep their nominal distribution where a scale has ten degrees of freedom, too.
+        """
+        W = self._weights(simple)[1]
+        (at, one), (other, two) = self._nearest(simple, W), self._nearest(rich, W)
+        m = at.columns(self.scale / 2.0, one.shapes)[0] @ one.coefficients
+        f = other.columns(self.scale / 2.0, two.shapes)[0] @ two.coefficients
+        root = np.cbrt(self.value / m)
+        far, near = W @ (3.0 * m * (root - 1.0)), W @ (3.0 * m * (root - np.cbrt(f / m)))
+        return float(far @ far - near @ near)
+
+    def accepted(self, c: Candidate) -> bool:
+        """Whether the candidate's own test of fit holds at the level of chance."""
+        own, W = self._weights(c)
+        structure, best = self._nearest(c, W)
+        n, dt = self.curve.n_samples, 1.0 / self.curve.rate_hz
+        test = goodness_of_fit(structure, best, self.curve.scale_samples, self.curve.value, own, n, dt)
+        return test is None or test.p_value >= CHANCE
 
 
-def _choose(ranked: list[Candidate], gain_under: Callable[[Candidate, Candidate], float], chance: float) -> Candidate:
-    """The simplest candidate that no richer one beats by more than chance.
+def _choose(ranked: list[Candidate], under: _Under, chance: float) -> Candidate:
+    """The simplest candidate that its own test of fit accepts and that no richer one beats by more than chance.
 
-    The common weights are those of the richest model, which has adapted to the record: where a true, simpler model had an unlikely draw,
-    they take its scales for more precise than they are. So a close defeat counts only if it is one in the simpler model's own weights too,
-    in which the difference has its nominal distribution.
+    A defeat is weighed as if the simpler model were true: the difference then has its nominal distribution. In weights of a richer model
+    a slow part that fills the last scales alone is lost, for it makes these scales uncertain itself.
     """
     whole = [c for c in ranked if not c.vanished] or ranked
-    for c in sorted(whole, key=lambda c: (c.parameters, c.objective)):
-        beaten = any(o.parameters == c.parameters and o.objective < c.objective for o in whole)
-        rivals = []
-        for other in whole:
-            more = other.parameters - c.parameters
-            surplus = c.objective - other.objective - _allowance(more, chance) if more > 0 else 0.0
-            if surplus > 0:
-                rivals.append((surplus, other))
-        if rivals and not beaten:
-            surplus, best = max(rivals, key=lambda item: item[0])
-            beaten = surplus > CLEAR
-            if not beaten:
-                # the strongest rival, and the one that is nearest in size
-                near = min(rivals, key=lambda item: (item[1].parameters, -item[0]))[1]
-                for other in {id(o): o for o in (best, near)}.values():
-                    beaten |= gain_under(c, other) > _allowance(other.parameters - c.parameters, chance)
-        if not beaten:
+    nearest: dict[int, Candidate] = {}
+    for c in whole:
+        if c.parameters not in nearest or c.objective < nearest[c.parameters].objective:
+            nearest[c.parameters] = c
+    first = None
+    for size, c in sorted(nearest.items()):
+        richer = [(more - size, rich) for more, rich in sorted(nearest.items()) if more > size]
+        if any(under.gain(c, rich) > scipy.special.chdtri(more, chance) for more, rich in richer):
+            continue
+        if under.accepted(c):
             return c
-    return min(whole, key=lambda c: c.criterion.value)
+        first = first or c
+    return first or min(whole, key=lambda c: c.criterion.value)
 
 
 def _verdict(name: str, ranked: list[Candidate], chosen: Candidate, discrepancy: float) -> str:

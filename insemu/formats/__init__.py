@@ -17,7 +17,7 @@ import numpy as np
 
 from insemu.errors import InputError
 from insemu.formats import recording, static
-from insemu.formats.clocks import start_said, utc_of
+from insemu.formats.clocks import seconds_of_date, start_said, utc_of
 from insemu.formats.columns import guess_map, parse_map, preset_beside, read_preset, split_header, write_preset
 from insemu.formats.curves import NamedCurve, read_curves
 from insemu.formats.npz import keys_of, load_npz
@@ -54,6 +54,7 @@ __all__ = [
     "read_recording",
     "read_static",
     "round_rate",
+    "seconds_of_date",
     "spell",
     "split_header",
     "start_said",

@@ -10,12 +10,12 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu import earth, rotation
+from insemu import rotation
 from insemu.errors import InputError
 from insemu.formats import clocks
 from insemu.formats.columns import ROLES, UNIT_SETTING, ColumnMap, guessed_line, resolve
 from insemu.formats.table import Table
-from insemu.records import GnssRecord, ImuKind, ImuRecord, Trajectory
+from insemu.records import ImuKind, ImuRecord
 from insemu.sample_times import continuous, in_order, sample_times
 from insemu.stamps import SECOND, counted
 from insemu.units import parse, parse_unit, scaled_unit
@@ -24,8 +24,6 @@ Array = NDArray[np.float64]
 
 #: Unit that a column without one is taken to have where it is not SI.
 _USUAL = {"lat": "deg", "lon": "deg", "course": "deg", "rpy": "deg", "roll": "deg", "pitch": "deg", "heading": "deg"}
-#: Standard deviation (horizontal, m) that a quality of fix stands for where the receiver states none.
-QUALITY_SIGMA = {1: 5.0, 2: 1.0, 3: 5.0, 4: 0.02, 5: 0.5, 9: 1.0}
 
 
 @dataclass
@@ -239,9 +237,26 @@ def clock_of(columns: Columns) -> str:
 MOST_LEFT_OUT = 0.01
 
 
-def _timed(t: Array, values: Array, story: Story, what: str, *, imu: bool = False) -> tuple[NDArray[np.intp], Array]:
-    """Rows in the order of time, and their times: of an IMU those of its samples, of fixes the stamps, but where many rows share one."""
-    same = np.concatenate([[False], (np.diff(values, axis=0) == 0.0).all(axis=1)])
+def timed(
+    t: Array, values: Sequence[Array], story: Story, what: str, *, imu: bool = False
+) -> tuple[NDArray[np.intp], Array]:
+    """Rows in the order of time, and their times: of an IMU those of its samples, of fixes the stamps, but where many rows share one.
+
+    Parameters
+    ----------
+    t : (n,) array
+        Stamps, s.
+    values : sequence of (n, k) arrays
+        By which repeated rows are known.
+    story : Story
+        Gets what was done.
+    what : str
+        What its notes call the table.
+    imu : bool
+    """
+    same = np.concatenate([[False], values[0][1:, 0] == values[0][:-1, 0]])
+    alike = np.flatnonzero(same)  # few rows: only they are compared in all columns
+    same[alike] = np.all([(v[alike] == v[alike - 1]).all(axis=1) for v in values], axis=0)
     if not imu:
         rows, said = in_order(t, same)
         fresh = np.concatenate([[True], t[rows[1:]] > np.maximum.accumulate(t[rows])[:-1]])
@@ -285,7 +300,7 @@ def axes_matrix(letters: str) -> Array:
     return matrix
 
 
-def _mounting(settings: Mapping[str, str], where: str) -> Array | None:
+def mounting_of(settings: Mapping[str, str], where: str) -> Array | None:
     """Matrix from the file's IMU axes to vehicle axes, from ``axes`` and ``mount``."""
     matrix = axes_matrix(settings["axes"]) if settings.get("axes") else None
     if settings.get("mount"):
@@ -358,20 +373,21 @@ def imu_of(parts: Sequence[Columns], story: Story) -> ImuRecord:
             story.notes.append("the accelerometer has stamps of its own; it was interpolated to the gyroscope's")
     gyro_values = first.values["gyro"]
     temperature = first.values.get("temperature")
-    rows = np.arange(first.t.size)
-    if not (np.isfinite(gyro_values).all() and np.isfinite(accel).all()):
-        rows = np.flatnonzero(np.isfinite(gyro_values).all(axis=1) & np.isfinite(accel).all(axis=1))
+    rows, given = np.arange(first.t.size), (gyro_values, accel)
+    if not all(np.isfinite(v).all() for v in given):
+        rows = np.flatnonzero(np.isfinite(np.hstack(given)).all(axis=1))
+        given = gyro_values[rows], accel[rows]
     story.missing += first.t.size - rows.size
     if first.t.size - rows.size:
         story.notes.append(f"IMU: {first.t.size - rows.size} of {first.t.size} rows hold no number; they were left out")
     if rows.size < 3:
         raise InputError(f"has {rows.size} usable row(s) of IMU data, expected at least 3", where=first.table.name)
-    order, t = _timed(first.t[rows], np.hstack([gyro_values[rows], accel[rows]]), story, "IMU", imu=True)
+    order, t = timed(first.t[rows], given, story, "IMU", imu=True)
     rows = rows[order]
     if not np.array_equal(rows, np.arange(first.t.size)):
         gyro_values, accel = gyro_values[rows], accel[rows]
         temperature = temperature if temperature is None else temperature[rows]
-    turn = _mounting(first.settings, first.table.name)
+    turn = mounting_of(first.settings, first.table.name)
     if turn is not None:
         gyro_values, accel = gyro_values @ turn.T, accel @ turn.T
         said = ", ".join(f"{k}={first.settings[k]}" for k in ("axes", "mount") if first.settings.get(k))
@@ -389,6 +405,8 @@ def _rows(part: Columns, rows: NDArray[np.intp]) -> Columns:
 
 def _share_partly(part: Columns) -> float:
     """Share of rows that hold one of the sensors and not the other."""
+    if all(np.isfinite(part.values[role]).all() for role in ("gyro", "accel")):
+        return 0.0
     gyro, accel = (np.isfinite(part.values[role]).all(axis=1) for role in ("gyro", "accel"))
     return float(np.mean(gyro ^ accel)) if gyro.size else 0.0
 
@@ -397,183 +415,8 @@ def _only(part: Columns, role: str, story: Story) -> Columns:
     good = _rows(part, np.flatnonzero(np.isfinite(part.values[role]).all(axis=1)))
     if not good.t.size:
         raise InputError("holds no row of numbers", where=part.table.name)
-    rows, t = _timed(good.t, good.values[role], story, f"{part.table.name}, {role}", imu=True)
+    rows, t = timed(good.t, (good.values[role],), story, f"{part.table.name}, {role}", imu=True)
     return replace(_rows(good, rows), t=t)
-
-
-def positions(part: Columns, story: Story) -> Array | None:
-    """Latitude, longitude (rad) and height (m) of a table, from any of its forms."""
-    v = part.values
-    if "lat" in v and "lon" in v:
-        height = v.get("height")
-        if height is None:
-            story.assumed.append(f"height 0 m: {part.table.name} has none")
-            height = np.zeros(part.t.size)
-        first, second = ("lon", "lat") if part.settings.get("latlon") == "swapped" else ("lat", "lon")
-        llh = np.column_stack([v[first], v[second], height])
-        _check_latitude(llh, part)
-        return llh
-    if "ecef" in v:
-        import pymap3d
-
-        rows = np.full_like(v["ecef"], np.nan)
-        good = np.isfinite(v["ecef"]).all(axis=1) & (np.linalg.norm(np.nan_to_num(v["ecef"]), axis=1) > 1.0)
-        if good.any():
-            rows[good] = np.column_stack(pymap3d.ecef2geodetic(*v["ecef"][good].T, deg=False))
-        return rows
-    local = v["ned"] if "ned" in v else v["enu"][:, [1, 0, 2]] * [1.0, 1.0, -1.0] if "enu" in v else None
-    if local is None:
-        return None
-    if "origin" in part.settings:
-        given = numbers_of(part.settings["origin"], 3, f"{part.table.name}: origin")
-    else:
-        given = np.zeros(3)
-        story.assumed.append(
-            f"the local coordinates of {part.table.name} begin at 0 deg N, 0 deg E, 0 m (--map 'origin=48.1 11.5 500' says where)"
-        )
-    return np.asarray(earth.ned_to_llh(local, given * [np.pi / 180, np.pi / 180, 1.0]))
-
-
-def _check_latitude(llh: Array, part: Columns) -> None:
-    largest = np.nanmax(np.abs(llh[:, 0]), initial=0.0)
-    if largest <= np.pi / 2 + 1e-12:
-        return
-    degrees = np.rad2deg(largest)
-    if degrees > 1e4:
-        hint = 'is it in 1e-7 deg? --map "pos_unit=1e-7 deg"'
-    elif degrees > 360.0:  # no longitude in its place is as large
-        hint = 'the unit is degrees, not rad: --map "pos_unit=deg"'
-    else:
-        hint = 'latitude and longitude are swapped: --map "latlon=swapped"'
-    raise InputError(f"a latitude of {degrees:.6g} deg is beyond 90; {hint}", where=part.table.name)
-
-
-def _velocity(part: Columns) -> Array | None:
-    """Velocity north, east, down from any of its forms; the setting ``velocity`` says the frame against what the file states."""
-    role = next((r for r in ("vel_ned", "vel_enu", "vel_neu") if r in part.values), None)
-    if role is None:
-        return None
-    v, frame = part.values[role], part.settings.get("velocity", role.removeprefix("vel_"))
-    if frame == "enu":
-        return np.asarray(v[:, [1, 0, 2]] * [1.0, 1.0, -1.0])
-    return np.asarray(v * [1.0, 1.0, -1.0]) if frame == "neu" else v
-
-
-def _sigmas(part: Columns, story: Story) -> tuple[Array | None, Array | None]:
-    v = part.values
-    position = v.get("pos_std_ned", v["pos_std_enu"][:, [1, 0, 2]] if "pos_std_enu" in v else None)
-    if position is None and "pos_std_h" in v:
-        h = v["pos_std_h"]
-        position = np.column_stack([h / np.sqrt(2.0), h / np.sqrt(2.0), v.get("pos_std_v", 1.5 * h)])
-    if position is None and "quality" in v:
-        horizontal = np.array([QUALITY_SIGMA.get(int(q), np.nan) if np.isfinite(q) else np.nan for q in v["quality"]])
-        position = np.column_stack([horizontal, horizontal, 1.5 * horizontal])
-        story.assumed.append("standard deviations from the quality of each fix: single 5 m, float 0.5 m, fixed 0.02 m")
-    if position is not None:
-        position = np.abs(position)
-    velocity = v.get("vel_std_ned", v["vel_std_enu"][:, [1, 0, 2]] if "vel_std_enu" in v else None)
-    if velocity is None and "vel_std_h" in v:
-        velocity = np.tile(v["vel_std_h"][:, None], (1, 3))
-    return position, None if velocity is None else np.abs(velocity)
-
-
-def gnss_of(part: Columns, story: Story) -> GnssRecord:
-    """Fixes of a table; rows that repeat the position before (of a log at the IMU's rate) are left out."""
-    llh = positions(part, story)
-    assert llh is not None
-    velocity = _velocity(part)
-    if velocity is None and "speed" in part.values:
-        story.notes.append("speed and course over ground are no velocity in three axes: they are not kept")
-    position_std, velocity_std = _sigmas(part, story)
-    known = np.isfinite(llh).all(axis=1) & ~((llh[:, 0] == 0.0) & (llh[:, 1] == 0.0))
-    if "gyro" in part.values or "accel" in part.values:
-        changed = np.concatenate([[True], (np.diff(llh, axis=0) != 0).any(axis=1)])
-        known &= changed
-    rows = np.flatnonzero(known)
-    if not rows.size:
-        raise InputError("holds no position", where=part.table.name)
-    if part.t.size - rows.size and "gyro" not in part.values:
-        story.notes.append(
-            f"fixes: {part.t.size - rows.size} of {part.t.size} rows hold no position; they were left out"
-        )
-    order, t = _timed(part.t[rows], llh[rows], story, "fixes")
-    rows = rows[order]
-
-    def cut(values: Array | None) -> Array | None:
-        return None if values is None or not np.isfinite(values[rows]).any() else values[rows]
-
-    if "gnss_shift" in part.settings:
-        t = t + parse(part.settings["gnss_shift"], "s")
-    llh = llh[rows]
-    if "gnss_move" in part.settings:
-        llh = earth.move(llh, np.array(numbers_of(part.settings["gnss_move"], 3, f"{part.table.name}: gnss_move")))
-    return GnssRecord(t, llh, cut(velocity), cut(position_std), cut(velocity_std))
-
-
-def attitude(part: Columns) -> Array | None:
-    """Roll, pitch and heading in rad, from angles or a quaternion; None where there is neither."""
-    v = part.values
-    if "rpy" in v:
-        return v["rpy"]
-    if {"roll", "pitch", "heading"} <= set(v):
-        return np.column_stack([v["roll"], v["pitch"], v["heading"]])
-    q = (
-        v["quaternion"]
-        if "quaternion" in v
-        else v["quaternion_xyzw"][:, [3, 0, 1, 2]]
-        if "quaternion_xyzw" in v
-        else None
-    )
-    if q is None:
-        return None
-    size = np.linalg.norm(q, axis=1)
-    good = np.isfinite(size) & (size > 0.5)
-    q = np.where(good[:, None], q / np.where(good, size, 1.0)[:, None], [1.0, 0.0, 0.0, 0.0])
-    C = rotation.dcm_from_quaternion(q)
-    if part.settings.get("attitude", "enu" if "enu" in v else "ned") == "enu":  # body axes to FRD, local axes to NED
-        body = axes_matrix(part.settings.get("axes") or "FLU")
-        C = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]) @ C @ body.T
-    rpy = np.array(rotation.rpy_from_dcm(C))
-    rpy[~good] = np.nan
-    return rpy
-
-
-def reference_of(part: Columns, story: Story) -> Trajectory:
-    """The truth of a table: position and attitude, and velocity (from the positions where there is none).
-
-    Raises
-    ------
-    InputError
-        No attitude, or no usable row.
-    """
-    llh, rpy, velocity = positions(part, story), attitude(part), _velocity(part)
-    if llh is None or rpy is None:
-        raise InputError(
-            "has no position and attitude, which a truth needs; give fixes with --gnss. "
-            f"Columns: {', '.join(list(part.table.columns)[:12])}",
-            where=part.table.name,
-        )
-    good = np.isfinite(llh).all(axis=1) & np.isfinite(rpy).all(axis=1)
-    if velocity is not None:
-        good &= np.isfinite(velocity).all(axis=1)
-    rows = np.flatnonzero(good)
-    order, t = _timed(part.t[rows], llh[rows], story, "reference")
-    rows = rows[order]
-    if rows.size < 2:
-        raise InputError(f"has {rows.size} usable row(s) of truth, expected at least 2", where=part.table.name)
-    llh = llh[rows]
-    if velocity is None:
-        offset = earth.position_difference(llh, np.tile(llh[0], (t.size, 1)))
-        velocity = np.gradient(offset, t, axis=0)
-        story.notes.append("velocities of the truth are differences of its positions")
-    else:
-        velocity = velocity[rows]
-    return Trajectory(t, llh, velocity, rpy[rows], "reference")
-
-
-def has_position(part: Columns) -> bool:
-    """Whether a table holds positions."""
-    return bool({"lat", "ecef", "ned", "enu"} & set(part.values))
 
 
 def unknown(table: Table, path: Path | str) -> InputError:

@@ -53,6 +53,24 @@ def utc_of(origin: Origin) -> float | None:
     return gps - leap_seconds(gps - leap_seconds(gps))
 
 
+def seconds_of_date(text: str, where: str) -> float:
+    """A date as s since 1970 (UTC, which is meant where it states no zone).
+
+    Raises
+    ------
+    InputError
+        No date of ISO 8601.
+
+    >>> seconds_of_date("2025-11-29T07:06:40Z", "start")
+    1764400000.0
+    """
+    try:
+        when = datetime.fromisoformat(text.strip().replace("Z", "+00:00"))
+    except ValueError:
+        raise InputError(f"is '{text[:40]}', expected a date such as 2024-05-01T12:00:00Z", where=where) from None
+    return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
+
+
 def start_said(origin: Origin) -> str:
     """When time 0 was, in words; "" of a device's own clock that counts from 0.
 

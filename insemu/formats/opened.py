@@ -8,24 +8,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu import rotation
 from insemu.errors import InputError
 from insemu.formats import clocks
-from insemu.formats.assemble import (
-    Columns,
-    Story,
-    attitude,
-    clock_of,
-    columns_of,
-    gnss_of,
-    has_position,
-    imu_of,
-    reference_of,
-    unknown,
-)
+from insemu.formats.assemble import Columns, Story, clock_of, columns_of, imu_of, mounting_of, unknown
 from insemu.formats.columns import ColumnMap, read_preset
 from insemu.formats.decoding import decoding
-from insemu.formats.table import Reader, Table, reader_of
-from insemu.records import AidRecord, GnssRecord, ImuRecord, Recording, Trajectory
+from insemu.formats.places import attitude, gnss_of, has_position, reference_of
+from insemu.formats.table import Besides, Reader, Table, reader_of
+from insemu.records import AidRecord, GnssRecord, ImuRecord, InitialState, Preparation, Recording, Trajectory
 from insemu.stamps import OWN, SECOND, Origin, counted
 from insemu.units import parse
 
@@ -54,6 +45,10 @@ class Opened:
         Rows that were left out: of fixes those that share a stamp with another, and those without a number.
     aids : tuple of AidRecord
         Measurements beside IMU and fixes, as they are in the file.
+    initial : InitialState, optional
+        Where a filter may start.
+    preparation : Preparation, optional
+        What was done to it before it was written.
     origin : Origin
         When time 0 was: the second of the first row of the IMU, or of the fixes or the reference where there is none.
     """
@@ -70,6 +65,8 @@ class Opened:
     missing: int = 0
     aids: tuple[AidRecord, ...] = ()
     origin: Origin = OWN
+    initial: InitialState | None = None
+    preparation: Preparation | None = None
 
     def recording(self) -> Recording:
         """The canonical recording; raises :class:`~insemu.errors.InputError` where there is no IMU."""
@@ -78,7 +75,15 @@ class Opened:
                 "holds no IMU data; name the file that does, and these fixes with --gnss", where=self.source
             )
         return Recording(
-            self.imu, self.gnss, self.reference, self.source, self.aids, origin=self.origin, remarks=self.notes
+            self.imu,
+            self.gnss,
+            self.reference,
+            self.source,
+            self.aids,
+            self.initial,
+            self.origin,
+            self.notes,
+            self.preparation,
         )
 
 
@@ -159,6 +164,7 @@ def open_files(
     settings = main.parts[0].settings if main.parts else {}
     imu, gnss_record, truth_record = _span(settings, imu, gnss_record, truth_record, str(path))
     given = [f for f in files if f is not None]
+    aids, initial, preparation = _besides(main, origin) if imu is not None else ((), None, None)
     return Opened(
         ", ".join(str(f.path) for f in given),
         ", ".join(dict.fromkeys(f.reader.name for f in given)),
@@ -170,8 +176,10 @@ def open_files(
         tuple(dict.fromkeys(story.notes)),
         story.repeated,
         story.missing,
-        _aids(main, origin) if imu is not None else (),
+        aids,
         origin,
+        initial,
+        preparation,
     )
 
 
@@ -260,15 +268,20 @@ def _on_clock(part: Columns, origin: Origin | None, story: Story) -> tuple[Colum
     return replace(part, start=part.start + shift).since(origin.ns), origin
 
 
-def _aids(file: _File, origin: Origin) -> tuple[AidRecord, ...]:
-    """Measurements beside IMU and fixes with times from the origin."""
-    if file.reader.aids is None:
-        return ()
-    since = (origin.ns - file.parts[0].table.start) / SECOND
-    return tuple(
-        replace(a, t=a.t - since, since=None if a.since is None else a.since - since)
-        for a in file.reader.aids(file.path)
-    )
+def _besides(file: _File, origin: Origin) -> Besides:
+    """Aids, initial state and preparation with times from the origin, the attitude in the axes that the map makes of the file's."""
+    if file.reader.besides is None:
+        return (), None, None
+    settings, since = file.parts[0].settings, (origin.ns - file.parts[0].table.start) / SECOND
+    late = parse(settings.get("shift", "0 s"), "s") - since  # aids and initial state are on the clock of the IMU
+    aids, initial, done = file.reader.besides(file.path)
+    if initial is not None:
+        turn, attitude = mounting_of(settings, str(file.path)), rotation.dcm_from_rpy(initial.rpy)
+        rpy = initial.rpy if turn is None else rotation.rpy_from_dcm(attitude @ turn.T)
+        initial = replace(initial, t=initial.t + late, rpy=rpy)
+    if done is not None and done.gnss is not None:
+        done = replace(done, gnss=replace(done.gnss, t=done.gnss.t - since))
+    return tuple(a.later(late) for a in aids), initial, done
 
 
 def _span(

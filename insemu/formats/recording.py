@@ -28,7 +28,8 @@ from insemu.errors import InputError
 from insemu.formats.clocks import CLOCKS
 from insemu.formats.columns import split_header
 from insemu.formats.decoding import decoding, open_text
-from insemu.formats.npz import keys_of, load_npy, load_npz, numbers, scalar, texts
+from insemu.formats.npz import load_npy, load_npz, numbers, scalar, texts
+from insemu.formats.table import Besides
 from insemu.formats.text import read_table, write_table
 from insemu.records import (
     COLUMNS,
@@ -83,11 +84,6 @@ _CSV_UNITS = {
     "temperature": "degC",
     "h": "m",
 }
-
-
-def is_npz_recording(path: Path) -> bool:
-    """Whether an ``.npz`` holds a recording (``imu`` with ``imu_t``) rather than a static log."""
-    return path.suffix == ".npz" and path.is_file() and bool({"imu_t", "imu"} & keys_of(path))
 
 
 def is_folder_recording(path: Path) -> bool:
@@ -164,10 +160,10 @@ def origin_of(arrays: Mapping[str, NDArray[Any]], source: str) -> Origin:
     return Origin(int(ns.reshape(())), clock)
 
 
-def aids_of(path: Path) -> tuple[AidRecord, ...]:
-    """The aids of a recording in our own layout; see :func:`read_recording`."""
-    arrays = folder_arrays(path) if path.is_dir() else load_npz(path)
-    return _aids(arrays, str(path))
+def besides_of(path: Path) -> Besides:
+    """Aids, initial state and preparation of a recording in our own layout; see :func:`read_recording`."""
+    arrays, source = folder_arrays(path) if path.is_dir() else load_npz(path), str(path)
+    return _aids(arrays, source), _initial(arrays, source), _preparation(arrays, source)
 
 
 def _aids(arrays: Mapping[str, NDArray[Any]], source: str) -> tuple[AidRecord, ...]:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from insemu.formats.columns import ColumnMap, guess_map, split_header
 from insemu.formats.decoding import decoding, encoding_of, head_of, open_for_pandas, open_text
-from insemu.formats.text import Growing, pieces
-from insemu.records import AidRecord
+from insemu.formats.text import pieces
+from insemu.records import AidRecord, InitialState, Preparation
 from insemu.units import parse_unit
 
 
@@ -107,6 +107,10 @@ def _head(path: Path, _changed: int) -> bytes:
     return head_of(path)
 
 
+#: What a recording may hold beside IMU, fixes and reference.
+Besides = tuple[tuple[AidRecord, ...], InitialState | None, Preparation | None]
+
+
 @dataclass(frozen=True)
 class Reader:
     """One kind of file: a name, how it is known, how it becomes tables.
@@ -121,15 +125,15 @@ class Reader:
         Takes the path and the settings of the user's map; gives tables.
     rank : int
         Readers of low rank are asked first: 0 content says so for sure, 5 a layout of names, 9 whatever is left.
-    aids : callable, optional
-        Takes the path; gives the measurements beside IMU and fixes, where a file of this kind can hold any.
+    besides : callable, optional
+        Takes the path; gives aids, initial state and preparation, where a file of this kind can hold any.
     """
 
     name: str
     sniff: Callable[[Probe], bool]
     read: Callable[[Path, Mapping[str, str]], list[Table]]
     rank: int = 5
-    aids: Callable[[Path], tuple[AidRecord, ...]] | None = None
+    besides: Callable[[Path], Besides] | None = None
 
 
 _READERS: list[Reader] = []
@@ -236,11 +240,12 @@ def _joined(part: list[NDArray[Any] | None], rows: Sequence[int]) -> NDArray[Any
         return None
     kind = np.result_type(*(p for p in part if p is not None))
     empty = np.datetime64("NaT") if kind.kind == "M" else np.nan
-    column = Growing(1)
+    column, end = np.empty(sum(rows), dtype=kind), 0
     for k, n in enumerate(rows):
         piece, part[k] = part[k], None
-        column.add([np.full(n, empty) if piece is None else piece.astype(kind, copy=False)])
-    return column.whole()[0]
+        column[end : end + n] = empty if piece is None else piece
+        end += n
+    return column
 
 
 def _numbered(width: int) -> list[str]:

@@ -14,9 +14,10 @@ from insemu.gap.predictive import Check, check, kept
 from insemu.gap.problems.aids import is_looked_at
 from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.session import applied, find_gap, with_only
-from insemu.gap.verdict import Finding, GapReport, Interval, Member, Value, Where
+from insemu.gap.verdict import HALF_SAMPLE, Finding, GapReport, Interval, Member, Value, Where
 
 __all__ = [
+    "HALF_SAMPLE",
     "Check",
     "Finding",
     "GapReport",

@@ -87,14 +87,10 @@ class Hypothesis(Generic[C]):
 
 @dataclass(frozen=True)
 class Found(Generic[C]):
-    """What was chosen and everything that it was compared with.
-
-    ``instead`` is structure outside the catalogue, in words, that explains more in its place, though not by the lead that takes a name away.
-    """
+    """What was chosen and everything that it was compared with."""
 
     chosen: Hypothesis[C]
     ranked: tuple[Hypothesis[C], ...]
-    instead: str = ""
 
 
 def best_first(hypotheses: Sequence[Hypothesis[C]]) -> list[Hypothesis[C]]:

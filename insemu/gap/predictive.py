@@ -116,11 +116,14 @@ class Check:
         Emulated ones.
     statistics : tuple of Statistic
     outages : OutageErrors
+    assumed : tuple of str
+        What nobody states of the fixes, in words.
     """
 
     recordings: int
     statistics: tuple[Statistic, ...]
     outages: OutageErrors
+    assumed: tuple[str, ...] = ()
 
     @property
     def outside(self) -> int:
@@ -132,6 +135,7 @@ class Check:
         o = self.outages
         return {
             "recordings": self.recordings,
+            "assumed": list(self.assumed),
             "outside_95": self.outside,
             "statistics": [vars(s) for s in self.statistics],
             "outages": {
@@ -256,7 +260,8 @@ def check(
         raise InputError(f"{recordings} emulated recordings say nothing of a band, expected at least 20")
     progress("the motion of the recording")
     measured = measured.as_measured()
-    twin, own = twin_of(measured, model.parted().on(measured)[0])
+    believed, assumed = model.parted().on(measured)
+    twin, own = twin_of(measured, believed)
     names, values = statistics_of(own)
     ends = outage_errors(own, twin.outages)
     known = np.isfinite(ends)
@@ -284,7 +289,7 @@ def check(
         for name, *row in zip(names, values, low, middle, high, share, strict=True)
     )
     bands = np.nanquantile(metres[:, known], [0.05, 0.5, 0.95], axis=0)
-    return Check(recordings, statistics, OutageErrors(twin.outages[known], ends[known], *bands))
+    return Check(recordings, statistics, OutageErrors(twin.outages[known], ends[known], *bands), assumed)
 
 
 def _identity(measured: Recording, model: Nominal) -> str:

@@ -16,6 +16,8 @@ from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.beliefs.refined import refined_nominal, uses_of
 from insemu.gap.candidates.mounting import Mounted, find_mounting
+from insemu.gap.candidates.shapes import EQUATIONS
+from insemu.gap.candidates.signs import check_signs
 from insemu.gap.candidates.timing import find_times
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.drive.preparation import Flown
@@ -26,7 +28,7 @@ from insemu.gap.problems.findings import with_effect
 from insemu.gap.problems.known import both_told, drive_without, in_imu_axes, static_without, struck_out
 from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.problems.together import MOST_TURNS, left
-from insemu.gap.verdict import Finding, GapReport, Interval, held_out_said, judged
+from insemu.gap.verdict import Finding, GapReport, Interval, half_sample_said, held_out_said, judged
 from insemu.gap.worth import worth_of_mounting, worth_of_settled
 from insemu.records import AXES, Recording
 
@@ -154,6 +156,7 @@ def _drive(
     say("running the nominal filter")
     first = flown = flown or Flown.of(*drive_without(measured, now))
     recording, moved = first.recording, first.nominal
+    check_signs(first, say)
     for late in find_times(first, without, say):
         now, flown = taken(replace(late, metres=worth_of_settled(first.prepared, late))), None
     if early:
@@ -174,7 +177,9 @@ def _drive(
     if own_axes[0] is not recording:
         (recording, moved), flown = own_axes, None
     scores = pool if hold_out else None
-    report, held_out = find_dynamic_gap(recording, moved, rng=rng, without=skip, progress=say, flown=flown, pool=scores)
+    report, held_out = find_dynamic_gap(
+        recording, moved, rng=rng, without=skip, progress=say, flown=flown, came=first if early else None, pool=scores
+    )
     known = struck_out(drive_without(measured, now, {})[0], recording)
     report = replace(report, outliers=both_told(measured, known, report.outliers))
     out = _together(report, early, mounted, nominal)
@@ -183,6 +188,7 @@ def _drive(
         return find_dynamic_gap(recording, moved, rng=rng, without=skip, progress=say)[0]
 
     out, refined = _looked_closer(measured, nominal, out, search, [s.effect for s in early], say)
+    out = replace(out, findings=tuple(half_sample_said(s, measured.imu) for s in out.findings))
     if hold_out:
         say("scoring on held-out fixes")
         out = _scored(out, held_out(), mounted)
@@ -459,6 +465,8 @@ def _share(one: Finding, other: Finding) -> bool:
 def _alike(one: Finding, other: Finding) -> bool:
     """Whether two findings are of one thing: the same effect of the same sensor, on the same axes and at the same time where it has one."""
     if (one.effect, one.sensor) != (other.effect, other.sensor):
+        return False
+    if one.effect in EQUATIONS and one.axes != other.axes:
         return False
     here, there = ({v.name: v for v in s.parameters if v.name in ("start", "duration")} for s in (one, other))
     # an interval may be wide where the best is not: what does not act at the same times is another one

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from numpy.typing import NDArray
 
+    from insemu.records import ImuRecord
+
 VerdictName = Literal["nothing missing", "named", "class", "unexplained"]
 #: Share of the metres of the largest finding below which one hardly matters: squares add up, so that it moves the sum by a twenty-thousandth.
 FEW = 0.01
@@ -186,6 +188,26 @@ class Finding:
             "setting": self.is_setting,
             "metres_60s": self.metres if math.isfinite(self.metres) else None,
         }
+
+
+#: Variant of a time offset that is what values at the stamp would show of samples that are means over the interval before it.
+HALF_SAMPLE = "half a sample"
+
+
+def half_sample_said(finding: Finding, imu: ImuRecord) -> Finding:
+    """A time offset that is half a sample said to be that, where samples were taken as values at their stamps.
+
+    Parameters
+    ----------
+    finding : Finding
+    imu : ImuRecord
+        As it was measured.
+    """
+    half = 0.5 * imu.dt
+    late = finding.effect == "imu_gnss_time_offset" and imu.kind == "sample"
+    if late and any(v.name == "offset" and 0.0 < v.low <= half <= v.high for v in finding.parameters):
+        return replace(finding, variant=HALF_SAMPLE)
+    return finding
 
 
 def judged(findings: Sequence[Finding], remainder: str, settled: Collection[str] = ()) -> VerdictName:

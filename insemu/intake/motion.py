@@ -139,7 +139,7 @@ def velocity_track(gnss: GnssRecord | Trajectory) -> Track | None:
     """Velocities of the receiver; None where it gives none."""
     if gnss.vel_ned is None:
         return None
-    good = np.isfinite(gnss.vel_ned).all(axis=1)
+    good = np.isfinite(gnss.vel_ned[:, :2]).all(axis=1)
     return Track(gnss.t[good], gnss.vel_ned[good]) if good.sum() >= 3 else None
 
 

@@ -202,7 +202,6 @@ def _made(main: Results, notes: str) -> list[Block]:
     manifest = main.manifest
     made: list[Block] = [Text(part.strip()) for part in notes.split("\n\n") if part.strip()]
     made += [Text(f"Warning: {warning}.") for warning in manifest.get("warnings", ())]
-    wall, epochs = main.timing["wall_seconds"], main.timing["filter_epochs"]
     by = [f"Seed {main.seed}", f"digest {main.digest}", f"insemu {manifest.get('insemu')}"]
     by += [f"revision {manifest['git']}"] if manifest.get("git") else []
     path = ""
@@ -210,8 +209,7 @@ def _made(main: Results, notes: str) -> list[Block]:
         path = f" The emulated path is within {1e3 * float(manifest.get('ideal_imu_distance_m', np.nan)):.3g} mm of the requested one."
     made.append(
         Text(
-            f"{count_of(main.realizations, 'realization')}, {epochs:,} filter epochs, {main.timing['filter_seconds']:.1f} s in the filters, "
-            f"{wall:.1f} s in all. {', '.join(by)}.{path}"
+            f"{count_of(main.realizations, 'realization')}, {main.timing['filter_epochs']:,} filter epochs. {', '.join(by)}.{path}"
         )
     )
     scenario = yaml.safe_dump(manifest.get("scenario", {}), sort_keys=False, allow_unicode=True)

@@ -132,7 +132,15 @@ def finding_action(finding: Finding, assumed: Sequence[str] = ()) -> str:
         f"{v.name.removeprefix('value_').removeprefix('rpy_')} {v.value:.3g} {v.unit}".strip() for v in shown
     )
     follows = ", going with what the receiver states" if _follows(finding) else ""
+    if finding.effect in ("expression", "expression_step"):
+        target, _, term = finding.axes[0].partition(" = ")
+        since = "".join(f" after {v.value:.0f} s" for v in shown if v.name == "start")
+        return f"find what makes it, or take it off: {target} = {shown[0].value:.3g} {shown[0].unit} * ({term}){since}"
     text = _ACTIONS.get(finding.effect, "model or calibrate it: {}")
+    from insemu.gap import HALF_SAMPLE
+
+    if finding.variant == HALF_SAMPLE:
+        text = 'read the samples as means over the interval before the stamp (--map "kind=mean"), or shift the stamps by half a sample: {}'
     if any(part in said for said in assumed for part in ("positions", "velocities") if part in text):
         text = text.replace("stated", "assumed")
     return text.format(values, follows=follows)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from insemu.report.charts import INK, Chart, Line, View
-from insemu.report.page import Card, Section, Table, Text, render
+from insemu.report.page import Card, Items, Section, Table, Text, render
 from insemu.report.style import COLOURS
 
 if TYPE_CHECKING:
@@ -54,7 +54,12 @@ def render_check(checks: Mapping[str, Check], left: GapReport | None, folder: st
     sections = [
         Section("Metres", [_chart(checks)]),
         Section(
-            "Statistics of the innovations", [told, *(_table(_named(name, checks), c) for name, c in checks.items())]
+            "Statistics of the innovations",
+            [
+                told,
+                *([Items(list(last.assumed))] if last.assumed else []),
+                *(_table(_named(name, checks), c) for name, c in checks.items()),
+            ],
         ),
     ]
     title = f"A recording among emulated ones: {Path(source).name}"

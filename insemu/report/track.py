@@ -208,32 +208,38 @@ def render_reckoning(result: DeadReckoning, path: str | Path) -> Path:
     views = []
     for k, (name, label, factor) in enumerate((*labels, ("Attitude", "attitude error (deg)", 180.0 / np.pi))):
         values = factor * result.errors[some, k]
-        values[values < SEEN * np.max(values, initial=0.0)] = np.nan  # the start is exact
+        if not np.isfinite(values).any():
+            continue
+        values[values < SEEN * np.nanmax(values, initial=0.0)] = np.nan  # the start is exact
         views.append(View(name, label, [Line(name.lower(), values, INK)], log_y=True))
-    caption = "Errors of the IMU navigated alone, against the reference (norms of the three components)."
+    caption = f"Errors of the IMU navigated alone, against the {result.against} (norms of the three components)."
     chart = Chart("Dead reckoning", caption, result.t[some], "time (s)", views)
     seconds = result.end_s - result.start_s
     rows = [
-        [key.replace("_", " "), f"{v:.6g}" if isinstance(v, float) else str(v)] for key, v in result.to_dict().items()
+        [key.replace("_", " "), f"{v:.6g}" if isinstance(v, float) else str(v)]
+        for key, v in result.to_dict().items()
+        if key != "said"
+    ]
+    done = [Section("What was assumed and done", [Items(list(result.said))])] if result.said else []
+    cards = [
+        Card(
+            "Largest position error",
+            f"{result.max_position_error_m:.3g} m",
+            f"{result.final_position_error_m:.3g} m at the end",
+        ),
+        Card("Largest velocity error", f"{result.max_velocity_error_m_s:.3g} m/s", f"{result.epochs} epochs"),
+        Card(
+            "Largest attitude error",
+            f"{np.rad2deg(result.max_attitude_error_rad):.3g} deg",
+            f"gravity {result.gravity}",
+        ),
     ]
     return render(
         f"Dead reckoning of {Path(result.source).name}",
-        [Section("Error growth", [chart, Folded("Figures", [Table(("figure", "value"), rows)])])],
+        [Section("Error growth", [chart, Folded("Figures", [Table(("figure", "value"), rows)])]), *done],
         path,
         kind="dead-reckon",
         source=result.source,
         answer=f"Without any fix the position is {result.final_position_error_m:.3g} m off after {seconds:.4g} s.",
-        cards=[
-            Card(
-                "Largest position error",
-                f"{result.max_position_error_m:.3g} m",
-                f"{result.final_position_error_m:.3g} m at the end",
-            ),
-            Card("Largest velocity error", f"{result.max_velocity_error_m_s:.3g} m/s", f"{result.epochs} epochs"),
-            Card(
-                "Largest attitude error",
-                f"{np.rad2deg(result.max_attitude_error_rad):.3g} deg",
-                f"gravity {result.gravity}",
-            ),
-        ],
+        cards=[card for card in cards if not card.value.startswith("nan")],
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from insemu.report.charts import GREY, INK, Chart, Line, View, strokes
-from insemu.report.page import Card, Section, Table, render
+from insemu.report.page import Card, Items, Section, Table, render
 from insemu.report.style import COLOURS
 from insemu.transfer import Transfer
 
@@ -107,7 +107,10 @@ def render_transfer(found: Transfer, path: str | Path, source: str) -> Path:
         for j in found.judged
     ]
     sections = [
-        Section("Factors", [_chart(found), Table(*factor_rows(found))]),
+        Section(
+            "Factors",
+            [_chart(found), Table(*factor_rows(found)), *([Items(list(found.assumed))] if found.assumed else [])],
+        ),
         Section(
             "The judge",
             [

@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import (
     AfterValidator,
+    AllowInfNan,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -19,6 +20,7 @@ from pydantic import (
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
+    PlainSerializer,
     PrivateAttr,
     SerializerFunctionWrapHandler,
     WithJsonSchema,
@@ -172,12 +174,12 @@ def number(value: Any, unit: str) -> float:
     return float(computed(lambda given: units.parse(given, unit), value))
 
 
-def _vector(value: Any, unit: str) -> Vector3:
+def _vector(value: Any, unit: str, without_down: bool = False) -> Vector3:
     items = list(value) if isinstance(value, list | tuple) else [value] * 3
     if len(items) != 3:
         raise InputError(f"found {len(items)} values, expected one or three")
-    a, b, c = (number(item, unit) for item in items)
-    return a, b, c
+    a, b = (number(item, unit) for item in items[:2])
+    return a, b, float("nan") if items[2] is None and without_down else number(items[2], unit)
 
 
 def an_axis(what: str) -> Any:
@@ -197,9 +199,12 @@ def _quantity(unit: str, shown: str = "") -> tuple[BeforeValidator, WithJsonSche
     return BeforeValidator(lambda value: number(value, unit)), WithJsonSchema(_one(shown or unit))
 
 
-def _vector_of(unit: str) -> tuple[BeforeValidator, WithJsonSchema]:
-    many = {"type": "array", "items": _one(unit), "minItems": 3, "maxItems": 3}
-    return BeforeValidator(lambda value: _vector(value, unit)), WithJsonSchema({"anyOf": [_one(unit), many]})
+def _vector_of(unit: str, without_down: bool = False) -> tuple[BeforeValidator, WithJsonSchema]:
+    item = {"anyOf": [_one(unit), {"type": "null"}]} if without_down else _one(unit)
+    many = {"type": "array", "items": item, "minItems": 3, "maxItems": 3}
+    return BeforeValidator(lambda value: _vector(value, unit, without_down)), WithJsonSchema(
+        {"anyOf": [_one(unit), many]}
+    )
 
 
 Seconds = Annotated[float, *_quantity("s")]
@@ -213,6 +218,11 @@ Length = Annotated[float, *_quantity("m")]
 Angles = Annotated[Vector3, *_vector_of("rad")]
 Metres = Annotated[Vector3, *_vector_of("m")]
 MetresPerSecond = Annotated[Vector3, *_vector_of("m/s")]
+#: NaN down, written null, where a velocity has no such component.
+MetresPerSecondOrLevel = Annotated[
+    tuple[float, float, Annotated[float, AllowInfNan(True), PlainSerializer(lambda v: None if v != v else v)]],
+    *_vector_of("m/s", without_down=True),
+]
 
 
 def _name(text: str) -> str:

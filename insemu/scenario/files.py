@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 import os
+import re
 from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
@@ -15,6 +17,7 @@ from pydantic import BaseModel, ValidationError
 import insemu
 from insemu import noise, yamlfile
 from insemu.errors import InputError, nearest, shown
+from insemu.formats import read_recording, seconds_of_date, utc_of
 from insemu.records import AXES
 from insemu.scenario.fields import Made
 from insemu.scenario.schema import Scenario
@@ -65,8 +68,45 @@ def load(
         data = yamlfile.merged(data, changes if isinstance(changes, dict) else {})
         lines |= {at[2:]: line for at, line in lines.items() if at[:2] == ("variants", variant) and len(at) > 2}
     data = data | {k: v for k, v in (overrides or {}).items() if v is not None}
-    scenario = validated(Scenario, yamlfile.Document(document.name, data, lines))
+    document = yamlfile.Document(document.name, data, lines)
+    scenario = validated(Scenario, _in_seconds(document, path))
     return _with_file(scenario, path)
+
+
+#: How a date begins among quantities such as "300 s".
+_DATE = re.compile(r"\s*\d{4}-\d\d?-\d\d?([T ]|$)")
+
+
+def _in_seconds(document: yamlfile.Document, path: str | Path) -> yamlfile.Document:
+    """The same with times of a recording that are given as dates in s from its start.
+
+    Raises
+    ------
+    InputError
+        What is no date; a flight that has none: an emulated one, or a recording whose clock tells no date.
+    """
+    gnss, source = (v if isinstance(v, dict) else {} for v in map(document.data.get, ("gnss", "recording")))
+    outages = gnss.get("outages")
+    spans = [v if isinstance(v, dict) else {} for v in outages] if isinstance(outages, list) else []
+    places: list[tuple[Place, Any]] = [(("gnss", "outages", k, "start"), v.get("start")) for k, v in enumerate(spans)]
+    places += [(("recording", key), source.get(key)) for key in ("start", "end")]
+    dates = {place: text for place, text in places if isinstance(text, str) and _DATE.match(text)}
+    if not dates:
+        return document
+    first, zero = document.where(next(iter(dates))), None
+    if isinstance(source.get("file"), str):
+        zero = utc_of(read_recording(resolve_path(source["file"], path)).origin)
+    if zero is None:
+        reason = "its clock tells no date" if source else "an emulated flight has none"
+        raise InputError(f"is a date, expected seconds from the start of the recording: {reason}", where=first)
+    data = copy.deepcopy(document.data)
+    for place, text in dates.items():
+        *inside, key = place
+        held: Any = data
+        for part in inside:
+            held = held[part]
+        held[key] = seconds_of_date(text, document.where(place)) - zero
+    return yamlfile.Document(document.name, data, document.lines)
 
 
 def _with_file(scenario: Scenario, path: str | Path) -> Scenario:

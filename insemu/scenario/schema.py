@@ -26,6 +26,7 @@ from insemu.scenario.fields import (
     Made,
     Metres,
     MetresPerSecond,
+    MetresPerSecondOrLevel,
     Name,
     Radians,
     Seconds,
@@ -139,7 +140,7 @@ class AreaKeys(Section):
 class OutageKeys(Section):
     """A span without GNSS."""
 
-    start_s: Seconds = Field(alias="start", ge=0, description="time from the start of the trajectory")
+    start_s: Seconds = Field(alias="start", ge=0, description="time from the start, or a date of a recording")
     duration_s: Seconds = Field(alias="duration", ge=0, description="how long; the fix at its end is withheld, too")
 
 
@@ -344,8 +345,9 @@ class Gnss(Section):
 
     rate: Hertz = Field(default=1.0, gt=0, description="of the fixes")
     position_sigma: Metres = Field(default=(0.02, 0.02, 0.02), description="standard deviation north, east, down")
-    velocity_sigma: MetresPerSecond | None = Field(
-        default=(0.02, 0.02, 0.02), description="standard deviation north, east, down; null: no velocity"
+    velocity_sigma: MetresPerSecondOrLevel | None = Field(
+        default=(0.02, 0.02, 0.02),
+        description="standard deviation north, east, down; null: no velocity, null down alone: speed and course",
     )
     lever_arm: Metres = Field(default=(0.0, 0.0, 0.0), description="IMU to antenna, forward, right, down")
     outages: tuple[Annotated[Outage, Made(OutageKeys)], ...] = Field(
@@ -357,7 +359,7 @@ class Gnss(Section):
     @field_validator("position_sigma", "velocity_sigma")
     @classmethod
     def _positive(cls, value: Vector3 | None) -> Vector3 | None:
-        if value is not None and min(value) <= 0:
+        if value is not None and min(value) <= 0:  # the third may be NaN
             raise InputError(f"found {min(value)!r}, expected positive standard deviations")
         return value
 
@@ -424,9 +426,9 @@ class RecordingSource(Section):
         default=(0.0, 0.0, 0.0), description="roll, pitch, yaw of the IMU with respect to the vehicle"
     )
     start: Seconds | None = Field(
-        default=None, description="leave out what is before this time on the recording's clock"
+        default=None, description="leave out what is before this time from the recording's origin, or before a date"
     )
-    end: Seconds | None = Field(default=None, description="leave out what is after this time")
+    end: Seconds | None = Field(default=None, description="leave out what is after this time or date")
     imu_time_offset: Seconds = Field(
         default=0.0, description="how late IMU stamps are against those of GNSS; taken off"
     )

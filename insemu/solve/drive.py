@@ -17,6 +17,8 @@ from insemu.intake import Card
 from insemu.lost import restored
 from insemu.records import AidRecord, GnssRecord, ImuRecord, InitialState, Recording
 from insemu.stamps import OWN, Origin
+from insemu.strapdown import NavState
+from insemu.units import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
@@ -107,6 +109,16 @@ class Drive:
             hint = f"; the axes of the IMU look turned, {turned[0]} tells the heading by the course" if turned else ""
             raise InputError(error.message + hint, where=self.source) from None
 
+    def alone(self) -> tuple[Recording, NavState, tuple[str, ...]]:
+        """The IMU from the start on less the biases found there, with the fixes to hold it against; the state there; and what was done, in words."""
+        a, bias = self.aligned, self.aligned.bias_beyond()
+        recording = Recording(cut(self.imu, a), self.gnss, None, self.source, origin=self.origin)
+        gyro, accel = (
+            ", ".join(f"{v:.4g}" for v in x) for x in (np.degrees(bias[:3]) * 3600.0, 1e3 * bias[3:] / STANDARD_GRAVITY)
+        )
+        taken = f"started at {a.t:.6g} s; taken off there: {gyro} deg/h of the gyroscopes x, y, z, {accel} mg of the accelerometers"
+        return recording, a.state, (*self.said, taken)
+
     def shifted(self, late: float) -> Drive:
         """The same with the stamps of the IMU ``late`` seconds earlier, without a start."""
         known = None if self.known is None else replace(self.known, t=self.known.t - late)
@@ -161,8 +173,7 @@ def prepared(recording: Recording, lever_arm: ArrayLike = (0.0, 0.0, 0.0)) -> Dr
     inside = (gnss.t > imu.t[0]) & (gnss.t <= imu.t[-1]) & np.isfinite(gnss.llh).all(axis=1)
     if inside.sum() < 10:
         raise InputError(f"has {int(inside.sum())} fixes within its IMU data, expected at least 10", where=where)
-    gnss = gnss.rows(inside)
-    lag = velocity_lag(gnss)
+    lag = velocity_lag(gnss.rows(inside))
     if lag is not None:
         said.append(
             f"the velocities of the fixes are {abs(lag):.3g} s {'late' if lag > 0 else 'early'} against their positions (means over the time "
@@ -173,7 +184,7 @@ def prepared(recording: Recording, lever_arm: ArrayLike = (0.0, 0.0, 0.0)) -> Dr
     said += assumed.values()
     return Drive(
         imu,
-        known,
+        known.rows(inside),
         np.array(np.broadcast_to(np.asarray(lever_arm, dtype=np.float64), (3,))),
         where,
         tuple(said),
@@ -209,7 +220,7 @@ def velocity_lag(gnss: GnssRecord) -> float | None:
     """
     if gnss.vel_ned is None:
         return None
-    good = np.isfinite(gnss.vel_ned).all(axis=1)
+    good = np.isfinite(gnss.vel_ned[:, :2]).all(axis=1)
     t, v = gnss.t[good], gnss.vel_ned[good, :2]
     if t.size < 30:
         return None

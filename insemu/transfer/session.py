@@ -56,6 +56,8 @@ class Transfer:
         The static models with the factors on them, as a filter carries them.
     constants : tuple of Constant
         Of the IMU, estimated with the factors; none where they were not asked for.
+    assumed : tuple of str
+        What nobody states of the fixes, in words.
     """
 
     factors: tuple[Factor, ...]
@@ -65,6 +67,7 @@ class Transfer:
     rest: dict[str, float]
     beliefs: dict[str, NoiseModel]
     constants: tuple[Constant, ...] = ()
+    assumed: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
@@ -75,6 +78,7 @@ class Transfer:
             "reasons": [{**s.finding.to_json(), "shares": s.shares} for s in self.reasons],
             "rest": self.rest,
             "constants": [asdict(c) for c in self.constants],
+            "assumed": list(self.assumed),
         }
 
 
@@ -159,7 +163,8 @@ def transfer(
     reasons, rest = _reasons(measured, nominal, static, extras, found, interval, rng, say) if why else ((), {})
     factors = np.exp(found.log).tolist()
     constants = levels.constants(factors)
-    return Transfer(found.factors, interval, judged, reasons, rest, levels.scaled(factors), constants)
+    assumed = nominal.parted().on(measured.as_measured())[1]
+    return Transfer(found.factors, interval, judged, reasons, rest, levels.scaled(factors), constants, assumed)
 
 
 def _reasons(

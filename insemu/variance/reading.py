@@ -23,7 +23,7 @@ import numpy as np
 import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
-from insemu.units import conversion
+from insemu.units import datasheet
 from insemu.variance.allan import AllanVariance
 from insemu.variance.edof import NoiseType, component_variance, noise_type, octave_correlation
 
@@ -57,23 +57,8 @@ _TERMS: dict[str, tuple[float, float]] = {
     "R": (2.0, 0.5),
 }
 
-#: Units in which readings are given: those of the tables of Quinchia et al. 2013.
-_UNITS: dict[str, dict[str, tuple[str, str]]] = {
-    "rad/s": {
-        "Q": ("rad", "deg"),
-        "N": ("rad/s/sqrt(Hz)", "deg/sqrt(h)"),
-        "B": ("rad/s", "deg/h"),
-        "K": ("rad/s*sqrt(Hz)", "deg/h^1.5"),
-        "R": ("rad/s^2", "deg/h^2"),
-    },
-    "m/s^2": {
-        "Q": ("m/s", "m/s"),
-        "N": ("m/s^2/sqrt(Hz)", "m/s/sqrt(h)"),
-        "B": ("m/s^2", "m/s/h"),
-        "K": ("m/s^2*sqrt(Hz)", "m/s/h^1.5"),
-        "R": ("m/s^3", "m/s/h^2"),
-    },
-}
+#: SI units of quantization and ramp, whose seconds cancel.
+_CANCELLED = {"rad/s": {"Q": "rad", "R": "rad/s^2"}, "m/s^2": {"Q": "m/s", "R": "m/s^3"}}
 
 
 @dataclass(frozen=True)
@@ -114,11 +99,8 @@ def _generic_unit(name: str, unit: str) -> str:
 
 def _reading(name: str, triple: Array, signal_unit: str, span: tuple[float, float], note: str = "") -> Reading:
     """A reading from (value, low, high) in the signal's own unit."""
-    table = _UNITS.get(signal_unit)
-    factor, shown = 1.0, _generic_unit(name, signal_unit)
-    if name != "Tc" and table is not None:
-        si, shown = table[name]
-        factor = conversion(si, shown)
+    si, known = _generic_unit(name, signal_unit), _CANCELLED.get(signal_unit)
+    factor, shown = (1.0, si) if known is None else datasheet(1.0, known.get(name, si))
     value, low, high = (float(v) * factor for v in triple)
     return Reading(name, value, low, high, shown, float(triple[0]), *span, note)
 

@@ -72,6 +72,8 @@ class Blocks:
         self.spectrum, self.hop, self.rate, self.seed, self.mount = spectrum, hop, rate, seed, mount
         levels = spectrum.levels
         bands = 1 if levels is None else levels.edges.size - 1
+        self.own: NDArray[np.int64]
+        self.adds: NDArray[np.int64]
         self.own, self.adds = (
             (np.arange(6), np.arange(6)) if levels is None else (np.tile(OWN, bands), np.tile(ADDS, bands))
         )

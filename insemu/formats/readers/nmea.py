@@ -1,4 +1,4 @@
-"""NMEA 0183 by ``pynmeagps``: GGA (position, quality), RMC (date), GST (standard deviations)."""
+"""NMEA 0183 by ``pynmeagps``: GGA (position, quality), RMC (date, speed and course), VTG (speed and course), GST (standard deviations)."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ from insemu.formats.columns import parse_map
 from insemu.formats.decoding import open_binary
 from insemu.formats.table import Probe, Reader, Table, register
 
+#: What is assumed of sentences VTG, which state no time.
+UNTIMED = "VTG sentences state no time: speed and course are of the GGA before them"
+
 
 def _sniff(probe: Probe) -> bool:
     first = [x for x in probe.head.split(b"\n", 12)[:12] if x.strip()]
@@ -25,6 +28,8 @@ def _read(path: Path, settings: Mapping[str, str]) -> list[Table]:
 
     rows: list[list[float]] = []
     sigmas: dict[float, tuple[float, float, float]] = {}
+    recommended: dict[float, tuple[float, float]] = {}
+    timeless: dict[float, tuple[float, float]] = {}
     day: date | None = None
     broken: list[Exception] = []
     with open_binary(path) as file:
@@ -35,6 +40,10 @@ def _read(path: Path, settings: Mapping[str, str]) -> list[Table]:
                 continue
             if message.msgID in ("RMC", "ZDA"):
                 day = _date(message) or day
+            if message.msgID == "RMC" and message.time != "" and message.status == "A":
+                recommended[_stamp(message.time, day)] = _number(message.spd), _number(message.cog)
+            elif message.msgID == "VTG" and rows:
+                timeless[rows[-1][0]] = _number(message.sogn), _number(message.cogt)
             elif message.msgID == "GGA" and message.quality and message.lat != "" and message.time != "":
                 height = _number(message.alt) + np.nan_to_num(_number(message.sep))
                 rows.append([_stamp(message.time, day), message.lat, message.lon, height, float(message.quality)])
@@ -54,9 +63,14 @@ def _read(path: Path, settings: Mapping[str, str]) -> list[Table]:
         spread = np.array([sigmas.get(row[0], (np.nan,) * 3) for row in rows])
         columns |= {n: spread[:, k] for k, n in enumerate(("std_n", "std_e", "std_d"))}
         line += ", pos_std_ned=std_n std_e std_d[m]"
+    motion, assumed = recommended or timeless, () if recommended or not timeless else (UNTIMED,)
+    if motion:
+        over_ground = np.array([motion.get(row[0], (np.nan,) * 2) for row in rows])
+        columns |= {n: over_ground[:, k] for k, n in enumerate(("speed", "course"))}
+        line += ", speed=speed[knots], course=course[deg]"
     notes = [] if dated else ["no sentence has a date: times are seconds of the day (UTC)"]
     notes += [f"{len(broken)} line(s) are no NMEA sentence or fail their checksum"] if broken else []
-    return [Table(path.name, columns, {}, parse_map(line), "unix" if dated else "", (), tuple(notes))]
+    return [Table(path.name, columns, {}, parse_map(line), "unix" if dated else "", assumed, tuple(notes))]
 
 
 def _number(value: Any) -> float:

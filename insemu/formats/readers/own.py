@@ -120,5 +120,5 @@ def _read_log(path: Path, settings: Mapping[str, str]) -> list[Table]:
     return [Table(path.name, columns, stated, used, start=start)]
 
 
-register(Reader("recording (.npz or folder)", _is_recording, _read_recording, rank=0, aids=recording.aids_of))
+register(Reader("recording (.npz or folder)", _is_recording, _read_recording, rank=0, besides=recording.besides_of))
 register(Reader("static log (.npz, .npy)", _is_log, _read_log, rank=1))

@@ -74,7 +74,8 @@ def uses_of(finding: Finding, dt: float = 0.01) -> tuple[EffectUse, ...]:
             if numbers is not None:
                 values[p.name] = numbers
         if all(p.name in values or p.default is not None for p in effect.parameters):
-            out.append(EffectUse(effect.id, finding.sensor, values))
+            written = axes[0] if "equation" in effect.traits else ""
+            out.append(EffectUse(effect.id, finding.sensor, values, written))
     return tuple(out)
 
 

@@ -13,7 +13,8 @@ from insemu.effects import EFFECTS, first_axis
 from insemu.gap.candidates.shapes import Change, DriveHypothesis, sizes
 from insemu.gap.candidates.steps import surprising
 from insemu.gap.candidates.unexplained import Unexplained
-from insemu.gap.drive.scene import ARMS
+from insemu.gap.drive.changes import scanned
+from insemu.gap.drive.scene import ARMS, TERMS
 from insemu.gap.evidence.linear import log_mean_exp_columns
 from insemu.gap.evidence.starts import CLOSE_CELLS, Starts
 from insemu.gap.hypothesis import Hypothesis
@@ -32,7 +33,7 @@ SURPRISES, BESIDE = 8, 1
 #: Cells on either side of the best one in which its start is looked for more closely: two fixes are no more alike than two minutes.
 ARM_CELLS = 3
 #: Effects that jump and stay.
-JUMPS = ("bias_step", "lever_arm_step")
+JUMPS = ("bias_step", "lever_arm_step", "expression_step")
 
 
 @dataclass(frozen=True)
@@ -160,6 +161,53 @@ def lever_arm_step(beside: Unexplained) -> list[DriveHypothesis]:
             _Jump("lever_arm_step", "gnss", axis, ARMS + k, beside, columns, scene.arm_starts[:count], own, t_fix)
         )
     return [_best(jumps, _edges(beside))]
+
+
+def changed_term(beside: Unexplained) -> list[DriveHypothesis]:
+    """Errors of an axis that follow a signal from a time on, from every node of the filter.
+
+    Parameters
+    ----------
+    beside : Unexplained
+
+    Returns
+    -------
+    list of DriveHypothesis
+        One per sensor; none where the fixes are whitened for another noise than the filter believes, which no pass backwards knows.
+    """
+    scene, data, fixes = beside.scene, beside.data, beside.scene.loop.use
+    nodes = scene.loop.result.nodes
+    assert nodes is not None
+    t = scene.motion.t[nodes.epoch]
+    if scene.noise is not None or t.size < FEWEST_STARTS + 2:
+        return []
+    rows = np.flatnonzero(fixes)[beside.rows]
+    vectors = np.hstack([beside.left[:, None], beside.span])
+    v = np.zeros((fixes.size, vectors.shape[1]))
+    v[rows] = vectors
+    count = int(rows[-1]) // 6 + 1 if rows.size else 0
+    squares, products = scanned(scene.loop, scene.changing.built, v.reshape(*fixes.shape, -1), count)
+    # inputs up to a node begin at the node before; from the first on they are there throughout
+    squares, products, start, width = squares[2:], products[2:], t[1:-1], np.diff(t)[1:]
+    half = products[:, :, 1:] @ beside.inverse.T / data.variance
+    a = np.maximum(squares / data.variance - np.einsum("ncq,ncq->nc", half, half), 1e-12)
+    b = products[:, :, 0] / data.variance
+    out, columns = [], scene.changing.columns
+    for sensor in dict.fromkeys(c.sensor for c in columns):
+        own = [j for j, c in enumerate(columns) if c.sensor == sensor]
+        weighed = [sized(a[:, j], b[:, j], columns[j].scale, sizes("expression_step")) for j in own]
+        scans = [Starts(start, width, logs) for logs, _, _ in weighed]
+        k = int(np.argmax([scan.nats for scan in scans]))
+        (_, mean, sd), column, best = weighed[k], columns[own[k]], scans[k].told()
+        nats = float(np.logaddexp.reduce([s.nats for s in scans])) - math.log(len(own)) - rules().step_rarer
+        if not nats > -1.0:
+            out.append(Hypothesis("expression_step", nats, (), Change(), "", sensor, column.axes))
+            continue
+        at = int(np.argmax(scans[k].logs))
+        value = Value.normal("value", float(mean[at]), float(sd[at]), column.unit)
+        change = Change(window=(TERMS + own[k], best.value, math.inf))
+        out.append(Hypothesis("expression_step", nats, (value, best), change, "", sensor, column.axes))
+    return out
 
 
 def _edges(beside: Unexplained) -> tuple[Array, Array]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from insemu.gap.evidence.linear import (
     Field,
     flicker_root,
     gauss_markov_root,
-    log_mean_exp,
     log_mean_exp_columns,
     marginal,
     quadratic_evidence,
@@ -40,6 +39,8 @@ LAGGED, LAGS = "lagged", 16
 ONCE = having("once")
 _OF_SENSORS = frozenset(e.id for e in EFFECTS.values() if e.family == "deterministic")
 _SECOND_ORDER = having("second_order")
+#: Effects without a name: rarer by what a name must lead by.
+EQUATIONS = having("equation")
 #: Effects whose columns have no negative sizes.
 POSITIVE = frozenset(e.id for e in EFFECTS.values() if e.size and e.does("columns") and e.parameter(e.size).positive)
 #: Slow random processes, and the parameter that is their size.
@@ -95,7 +96,7 @@ DriveHypothesis = Hypothesis[Change]
 
 
 def sizes(effect: str = "") -> tuple[float, ...]:
-    """Sizes that are tried of an effect of known shape, or of structure outside the catalogue, in the datasheet's."""
+    """Sizes that are tried of an effect of known shape, in the datasheet's."""
     far = () if effect in _OF_SENSORS else rules().far_scales
     return (*rules().prior_scales, *rules().wider_scales, *far)
 
@@ -113,7 +114,8 @@ def _shapes(columns: Sequence[Column]) -> list[Variant]:
             if members:
                 index = np.array(mine)[members]
                 unit = np.diag([columns[i].scale for i in index])
-                out.append(Variant(*key, axes, label, index, (((), unit),), np.array(sizes(key[0]))))
+                odds = math.prod(EFFECTS[key[0]].odds(columns[i]) for i in index)
+                out.append(Variant(*key, axes, label, index, (((), unit),), np.array(sizes(key[0])), odds=odds))
     return out
 
 
@@ -247,7 +249,7 @@ def pooled_evidence(variants: Sequence[Variant], logs: Sequence[Sequence[Array]]
             own.setdefault(key, []).append(v.evidence(x))
     out = {}
     for key, rows in own.items():
-        rarer = rules().second_order if key[0] in _SECOND_ORDER else 0.0
+        rarer = rules().lead if key[0] in EQUATIONS else rules().second_order if key[0] in _SECOND_ORDER else 0.0
         out[key] = log_mean_exp_columns(np.stack(rows)) + math.log(len(rows) / total[key]) - rarer
     return out
 
@@ -493,44 +495,3 @@ def null_threshold(
     # the first column decides what is worth a closer look, as it does for the measured innovations
     evidence = pooled_evidence(variants, linear_evidence(variants, A, b))
     return float(np.quantile(np.max(np.stack(list(evidence.values())), axis=0), 1.0 - rules().false_alarms))
-
-
-class Outside(NamedTuple):
-    """Structure outside the catalogue: log evidence in nats, its name in words, and how it enters the linear model of the innovations."""
-
-    nats: float
-    what: str
-    block: Block | None
-
-
-def library_evidence(scene: Scene, data: Field, given: Sequence[Block]) -> Outside:
-    """The best structure outside the catalogue, those of a sensor counted alike.
-
-    Parameters
-    ----------
-    scene : Scene
-        Its columns of the library are weighed.
-    data : Field
-        The innovations.
-    given : sequence of Block
-        What is explained already.
-
-    Returns
-    -------
-    Outside
-        Of minus infinity where there is no library.
-    """
-    A, b = data.conditioned(given)
-    found: dict[str, list[Outside]] = {}
-    amplitudes = np.array((*sizes(), rules().widest_scales[0]))
-    for i, c in enumerate(scene.columns[scene.outside], start=scene.outside.start):
-        logs = quadratic_evidence(A[i : i + 1, i : i + 1], b[i : i + 1], np.array([[c.scale]]), amplitudes)[:, 0]
-        block = np.array([i]), np.array([[c.scale * amplitudes[int(np.argmax(logs))]]])
-        one = Outside(log_mean_exp(logs), f"{c.sensor} error that goes with {c.label}", block)
-        found.setdefault(c.sensor, []).append(one)
-    best = Outside(-math.inf, "", None)
-    for group in found.values():
-        nats = log_mean_exp([one.nats for one in group])
-        if nats > best.nats:
-            best = max(group, key=lambda one: one.nats)._replace(nats=nats)
-    return best

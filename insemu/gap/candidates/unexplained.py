@@ -47,6 +47,11 @@ class Unexplained:
         G, root, _ = self._solved
         return G @ root
 
+    @property
+    def inverse(self) -> Array:
+        """Inverse Cholesky factor (k, k) of the precision of these numbers."""
+        return self._solved[2]
+
     @cached_property
     def ahead(self) -> Array:
         """Each innovation (r,) less what those before it say, over its standard deviation."""

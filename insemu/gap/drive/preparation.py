@@ -476,8 +476,8 @@ def _stood_on(recording: Recording, imu: ImuRecord, gnss: GnssRecord) -> Array:
     if recording.reference is None and before.size and gnss.pos_std_ned is not None:
         k = before[-1]
         out[:3] = gnss.pos_std_ned[k]
-        if gnss.vel_ned is not None and gnss.vel_std_ned is not None and np.isfinite(gnss.vel_ned[k]).all():
-            out[3:] = gnss.vel_std_ned[k]
+        if gnss.vel_ned is not None and gnss.vel_std_ned is not None:
+            out[3:] = np.where(np.isfinite(gnss.vel_ned[k]), gnss.vel_std_ned[k], 0.0)
     return out
 
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from insemu.effects import EFFECTS, Column, FixGeometry, Motion, catalogue_columns
 from insemu.errors import InputError
 from insemu.gap.drive.apart import without
-from insemu.gap.drive.columns import filled_columns, library_columns, rectified_columns
+from insemu.gap.drive.changes import Changing
+from insemu.gap.drive.columns import filled_columns, rectified_columns
 from insemu.gap.drive.corrected import corrected_data, slow_knots
 from insemu.gap.drive.preparation import Prepared, fitted_levels
 from insemu.gap.drive.signatures import Loop, bias_steps, columns_response, fix_step_response, knot_response, ramps
@@ -28,9 +29,9 @@ from insemu.records import GnssRecord
 Array = NDArray[np.float64]
 
 #: A step: place, start and end in s. Places 0 to 2 are components of the position fixes, north, east, down; 3 to 8 biases of the sensors' six axes;
-#: from ARMS on axes of the lever arm.
+#: from ARMS on axes of the lever arm; from TERMS on errors that follow a signal (:attr:`Scene.changing`).
 Window = tuple[int, float, float]
-ARMS = 9
+ARMS, TERMS = 9, 12
 
 #: Times that the filter runs again at the most, on corrected data until its errors are small, or at other levels: a bound, so that a search ends.
 MOST_RUNS = 5
@@ -40,7 +41,7 @@ SHARES, BENT = (1.0, 0.3), 0.25
 #: Starts of steps in the fixes that are tried first, and of changes of the lever arm.
 STARTS, ARM_STARTS = 120, 40
 #: What a scene knows that other noise of the fixes leaves as it is, and what more steps in the fixes do.
-_RESPONSES = ("_answers", "_ramps", "steps_raw", "_arms_raw")
+_RESPONSES = ("_answers", "_ramps", "steps_raw", "_arms_raw", "changing")
 _WHITENED = ("_plain", "full_y", "step_columns", "arm_columns", "_gains")
 
 
@@ -57,11 +58,9 @@ class Scene:
     motion, loop, surrogate
         What the filter says about motion, innovations and covariances.
     columns : list of Column
-        Catalogue first, then the library of structure outside of it.
+        Catalogue first; behind it stand the filled-in stretches and what the vehicle's shaking rectifies.
     catalogue : int
         Number of columns of the catalogue.
-    outside : slice
-        Columns of the library; behind them stand the filled-in stretches and what the vehicle's shaking rectifies.
     knots, starts : arrays
         Times in s.
     corrections : mapping of column index to number
@@ -79,7 +78,6 @@ class Scene:
     surrogate: Surrogate
     columns: list[Column]
     catalogue: int
-    outside: slice
     knots: Array
     starts: Array
     corrections: Mapping[int, float]
@@ -99,8 +97,7 @@ class Scene:
 
         The catalogue's columns of another scene, ``known``, say what corrections are of.
         """
-        motion = prepared.motion
-        loop = Loop.of(prepared.result)
+        motion, loop = prepared.motion, Loop.of(prepared.result)
         t_fix = prepared.result.fixes.t
         fixes = FixGeometry.of(motion, t_fix, prepared.lever_arm, prepared.nominal.mounting)
         if (tau := smoothing(prepared.nominal, known, corrections or {})).any():
@@ -120,10 +117,8 @@ class Scene:
                 own = (columns[j].effect, columns[j].label)
                 slope = slope_about(columns[j], value, motion, fixes)
                 columns[:catalogue] = [slope if (c.effect, c.label) == own else c for c in columns[:catalogue]]
-        columns += library_columns(motion, t_fix, prepared.nominal.mounting)
         if prepared.first.any():
             columns = [c if c.fixes is None else replace(c, start=c.fixes[0]) for c in columns]
-        outside = slice(catalogue, len(columns))
         columns += filled_columns(motion, prepared.mended.filled if prepared.mended else ())
         columns += rectified_columns(prepared.rectified)
         start, end = float(motion.t[0]), float(motion.t[-1])
@@ -138,7 +133,6 @@ class Scene:
             prepared.surrogate,
             columns,
             catalogue,
-            outside,
             knots,
             starts,
             dict(corrections or {}),
@@ -160,7 +154,7 @@ class Scene:
     @cached_property
     def always(self) -> tuple[Block, ...]:
         """What is uncertain whatever the effects are: the integrals of filled-in stretches, coning and sculling of what shakes."""
-        index = np.arange(self.outside.stop, len(self.columns))
+        index = np.arange(self.catalogue, len(self.columns))
         return ((index, np.diag([self.columns[i].scale for i in index])),) if index.size else ()
 
     # -- responses --------------------------------------------------------------------------------------------------------------------
@@ -203,9 +197,16 @@ class Scene:
         """Whitened responses (r, starts) of unit changes of the lever arm along an axis (0..2) of the body from each start (s) on."""
         return self.whitened(fix_step_response(self.loop, self.arm_fixes(axis)[None], starts))
 
+    @cached_property
+    def changing(self) -> Changing:
+        """Errors that follow a signal, which may begin at a time."""
+        return Changing.of(self.loop, self.motion)
+
     def window_column(self, window: Window) -> Column:
-        """A step of the fixes that was found, as a column."""
+        """A step that was found of the fixes, of the lever arm or of what follows a signal, as a column."""
         (place, start, end), t = window, self.loop.result.fixes.t
+        if place >= TERMS:
+            return self.changing.column(place - TERMS, self.motion.t, start, end)
         inside = ((t > start) & (t <= end)).astype(np.float64)
         M = np.zeros((t.size, 6))
         if place < 3:
@@ -233,14 +234,13 @@ class Scene:
         fixes = self.loop.result.fixes
         M, D = np.zeros((len(fixes), 6, len(windows))), None
         for i, (place, start, end) in enumerate(windows):
-            if place < 3 or place >= ARMS:
+            if place < 3 or ARMS <= place < TERMS:
                 M[:, :, i] = self.window_column(windows[i]).fixes
                 continue
             D = np.zeros((len(self._ramps), len(windows), 9)) if D is None else D
-            share = bias_steps(self.loop, self.motion, np.array([start])) - bias_steps(
-                self.loop, self.motion, np.array([end])
-            )
-            D[:, i] = share * self._ramps[:, place - 3]
+            begun, over = (bias_steps(self.loop, self.motion, np.array([at])) for at in (start, end))
+            unit = self._ramps[:, place - 3] if place < ARMS else self.changing.built[:, place - TERMS]
+            D[:, i] = (begun - over) * unit
         return self.loop.respond(len(windows), D, M) if windows else M
 
     def bias_step_columns(self, axis: int, starts: Array) -> Array:

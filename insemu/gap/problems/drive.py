@@ -18,16 +18,15 @@ from insemu.gap.candidates.fixes import about, as_joint, covariance_hypotheses
 from insemu.gap.candidates.jumps import JUMPS
 from insemu.gap.candidates.robust import beyond_doubt, held, is_lasting, too_much
 from insemu.gap.candidates.shapes import (
+    EQUATIONS,
     ONCE,
     POSITIVE,
     PROCESSES,
     Change,
     DriveHypothesis,
-    Outside,
     Variant,
     bank,
     best_pair,
-    library_evidence,
     linear_hypotheses,
     linear_nats,
     null_threshold,
@@ -97,7 +96,7 @@ class DriveProblem(SettledFixes):
     def __init__(self, scene: Scene, cut: float | None, threshold: float, without: Collection[str]) -> None:
         self.cut, self.threshold, self.without = cut, threshold, without
         self.found: list[Found[Change]] = []
-        self.gone, self.outsider, self._changed = {}, "", False
+        self.gone, self._changed = {}, False
         self.recorded = scene.original.gnss
         self.scene, self.variants, self._others = scene, bank(scene), list[Scene]()
         self._take(scene)
@@ -113,7 +112,7 @@ class DriveProblem(SettledFixes):
 
     def named(self) -> Named:
         """What was found so far."""
-        return Named(tuple(self.found), self.scene, self.outsider, dict(self.gone))
+        return Named(tuple(self.found), self.scene, dict(self.gone))
 
     def blocks(self, without: Found[Change] | None = None) -> list[Block]:
         """How the findings enter the linear model of the innovations, all or all but one, and what is uncertain in any case."""
@@ -140,7 +139,7 @@ class DriveProblem(SettledFixes):
         out = linear_hypotheses(self.scene, self._beside(), self.data, given, skip)
         for effect, look in STEPS.items():
             if effect not in skip:
-                least = self._step_nats() if effect != "bias_step" else -math.inf
+                least = -math.inf if effect in ("bias_step", "expression_step") else self._step_nats()
                 out += [h for h in look(beside) if h.nats > least]
         out += covariance_hypotheses(self.scene, given, skip, self.cut, self._levelled())
         out = held(beside, out, self.threshold)
@@ -166,29 +165,11 @@ class DriveProblem(SettledFixes):
     def choose(self, ranked: Sequence[DriveHypothesis]) -> Found[Change] | None:
         """The best effect, or the first of several that explain more together."""
         best = ranked[0]
-        outside = library_evidence(self.scene, self.data, self.blocks())
-        if outside.nats > self.threshold and self._is_beyond(outside, best):
-            self.outsider = outside.what
-            return None
         pair = self._hidden_pair(best)
         unsure = probabilities([h.nats for h in ranked])[-1] > 1.0 - rules().something
         if pair is None and (best.nats < self.threshold or unsure):
             return None
         return Found(pair or self._apart(best), tuple(ranked))
-
-    def _is_beyond(self, outside: Outside, best: DriveHypothesis) -> bool:
-        """Whether structure outside the catalogue explains more than the best effect, by itself and with what follows either.
-
-        A product of two inputs can be nearer to two effects together than one of these is.
-        """
-        lead = rules().lead
-        if outside.block is None or best.change.block is None or not outside.nats > best.nats + lead:
-            return outside.nats > best.nats + lead
-        after = [
-            max(0.0, linear_nats(self.scene, self._beside(), self.data, [*self.blocks(), block], self._skip()))
-            for block in (outside.block, best.change.block)
-        ]
-        return outside.nats + after[0] > best.nats + after[1] + lead
 
     def split(self) -> bool:
         """Put the first of two or three simpler effects in the place of a finding where they now explain more than it does; whether that was so."""
@@ -224,7 +205,8 @@ class DriveProblem(SettledFixes):
         """The first of two shapes that hide each other: together they explain more than the best effect and what follows it."""
         skip, given, lead = self._skip(), self.blocks(), rules().lead
         # of what has no negative sizes, half of the pairs would be none
-        ones = [v for v in self.variants if not v.process and v.index.size == 1 and v.effect not in {*skip, *POSITIVE}]
+        none = {*skip, *POSITIVE, *EQUATIONS}
+        ones = [v for v in self.variants if not v.process and v.index.size == 1 and v.effect not in none]
         linear, strong = best.change.block, best.nats > self.threshold
         if len(ones) < 2 or (linear is None and strong):
             return None
@@ -353,14 +335,14 @@ class DriveProblem(SettledFixes):
     def noise_again(self, first: Scene) -> None:
         """Take back the noise of the fixes and what was found with it, from the ``first`` scene on."""
         self.found = [f for f in self.found if f.chosen.change.block is not None]
-        self.gone, self.outsider = {}, ""
+        self.gone = {}
         first = first.with_windows(self.scene.windows)
         scene = first.rebuilt(corrections=self.scene.corrections).steadied_again(self.blocks(), self.cut)
         self.recorded = scene.original.gnss
         self._take(scene.trimmed(self.blocks(), self.cut))
 
     def hold_against_the_rest(self) -> None:
-        """Weigh noise of the fixes against each effect that was weighed again without it, and structure outside the catalogue against shapes."""
+        """Weigh noise of the fixes against each effect that was weighed again without it."""
         for k, f in enumerate(self.found):
             h, others, beside = f.chosen, self.blocks(f), self._unexplained(f)
             if h.change.block is not None and not any(r.change.noise is not None for r in f.ranked):
@@ -375,12 +357,7 @@ class DriveProblem(SettledFixes):
             ranked = best_first(f.ranked)
             if h.change.block is not None:
                 ranked = held(beside, ranked, min(self.threshold, rules().keep_nats))
-            self.found[k] = f = replace(f, ranked=tuple(ranked))
-            if h.change.columns:
-                own = [v for v in self.variants if (v.effect, v.sensor) == (h.effect, h.sensor)]
-                outside = library_evidence(self.scene, self.data, others)
-                if outside.nats > linear_nats(self.scene, own, self.data, others, ()):
-                    self.found[k] = replace(f, instead=outside.what)
+            self.found[k] = replace(f, ranked=tuple(ranked))
 
 
 def find_effects(
@@ -418,14 +395,18 @@ def find_effects(
 
 
 @on_one_thread
-def _held_out(at: MendedDrive, scene: Scene, threshold: float, without: Collection[str], policy: Policy) -> DriveScore:
-    """Figures on the last part of the recording with effects named on the first."""
+def _held_out(
+    at: MendedDrive, scene: Scene, came: Flown | None, threshold: float, without: Collection[str], policy: Policy
+) -> DriveScore:
+    """Figures on the last part of the recording with effects named on the first; before them it is as it came."""
     with under(policy):
         start, end = float(scene.motion.t[0]), float(scene.motion.t[-1])
         cut = start + rules().naming_share * (end - start)
         first = find_effects(scene, cut, threshold, without, lambda _: None)
         plain = scene
-        if at.noticed or at.late:
+        if came is not None:
+            plain = Scene.of(came.prepared)
+        elif at.noticed or at.late:
             plain = Scene.of(prepare(at.whole, at.believed, at.parts, at.levels))
         return held_out(plain, first, cut)
 
@@ -438,6 +419,7 @@ def find_dynamic_gap(
     without: Collection[str] = (),
     progress: Callable[[str], None] | None = None,
     flown: Flown | None = None,
+    came: Flown | None = None,
     pool: Executor | None = None,
 ) -> tuple[GapReport, Callable[[], DriveScore]]:
     """Find what a drive or flight has that the nominal model lacks.
@@ -446,6 +428,8 @@ def find_dynamic_gap(
     ----------
     recording, nominal, rng, without, progress, flown, pool
         As :func:`insemu.gap.find_gap` says; the recording has fixes.
+    came : Flown, optional
+        The nominal filter on the recording as it came, where something was taken off before.
 
     Returns
     -------
@@ -473,7 +457,7 @@ def find_dynamic_gap(
         without = (*without, "gnss_correlated_noise")
     competing = [v for v in bank(scene) if v.effect not in without]
     threshold = max(rules().least_nats, null_threshold(competing, scene.data, rng, always=scene.always))
-    scored = meanwhile(pool, _held_out, at, scene, threshold, without, rules())
+    scored = meanwhile(pool, _held_out, at, scene, came, threshold, without, rules())
     named = find_effects(scene, None, threshold, without, say)
     # a generator of its own: the search of a later pass draws what it always drew
     drawn, repeated = rng.spawn(2)
@@ -517,15 +501,12 @@ def _doubted(
     changing = {
         split_axis(name): r.outsider for name, r in fast if r.outsider and (humming or r.outsider.startswith(WANDERING))
     }
-    # a class leaves open what it is; a single name does not where something else explains more
-    instead = [f.instead if not s.is_class else "" for s, f in zip(each, named.found, strict=True)]
-    own = [s.doubted() if named.outsider or failed or i else s for s, i in zip(each, instead, strict=True)]
+    own = [s.doubted() if failed else s for s in each]
     heard = [s.doubted() if is_doubtful(s, (), changing) else s for s in merged(dict(fast))]
     white = white_levels(at.believed.beliefs)
     heard = [replace(s, metres=worth_in_noise(s, white, outages)) for s in heard]
     heard = [with_delay(s, at.late.get(s.sensor, 0.0)) for s in heard]
-    beyond = " and ".join(dict.fromkeys(filter(None, (named.outsider, *sorted(set(instead))))))
-    left = remainder(failed, {**({("the fixes", ""): beyond} if beyond else {}), **changing})
+    left = remainder(failed, changing)
     wrong = at.prepared.mended.noise if at.prepared.mended else {}
     seen = [with_white(s, wrong.get(s.effect, np.zeros(6)), outages) for s in at.noticed]
     return sorted([*joined(own), *heard, *seen], key=lambda s: -s.nats), left

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from insemu.effects import EFFECTS, EffectUse, having
 from insemu.gap.candidates.axis import AxisState
 from insemu.gap.candidates.jumps import JUMPS
-from insemu.gap.candidates.shapes import PROCESSES
+from insemu.gap.candidates.shapes import EQUATIONS, PROCESSES
 from insemu.gap.evidence.band import Band
 from insemu.gap.hypothesis import Found, Hypothesis, class_of
 from insemu.gap.policy import rules
@@ -251,7 +251,7 @@ def joined(findings: list[Finding]) -> list[Finding]:
                 k
                 for k, o in enumerate(out)
                 if (o.effect, o.sensor) == (s.effect, s.sensor)
-                and s.effect not in (*PROCESSES, *JUMPS, "gnss_multipath_step")
+                and s.effect not in (*PROCESSES, *JUMPS, *EQUATIONS, "gnss_multipath_step")
                 and names & {v.name for v in o.parameters}
             ),
             None,

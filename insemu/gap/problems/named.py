@@ -46,15 +46,12 @@ class Named:
     found : tuple of Found
     scene : Scene
         At the levels, colours and corrections that were found.
-    outsider : str
-        Structure outside the catalogue, in words, where there is any.
     gone : mapping of effect to (k,) array
         Times of the positions and of the velocities that were left out as outliers, s.
     """
 
     found: tuple[Found[Change], ...]
     scene: Scene
-    outsider: str
     gone: Mapping[str, Array]
 
     @property
@@ -176,7 +173,7 @@ def told(f: Found[Change], named: Named, outages: Sequence[Outage]) -> Finding:
         else:
             sd = math.sqrt(float(covariance[0, 0]))
             values = (Value.normal("value", float(mean[0]), sd, values[0].unit), *values[1:])
-            if h.effect == "lever_arm_step" and h.change.window is not None:
+            if h.effect in ("lever_arm_step", "expression_step") and h.change.window is not None:
                 column = scene.window_column(h.change.window)
                 metres = worth_in_motion(scene.loop, scene.motion, [column], [values[0].value])
     members, others, confidence = class_of(*rivals_of(f))

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from insemu.gap.candidates.fixes import apart_from_named, as_joint, at_level, rows_of
-from insemu.gap.candidates.jumps import bias_step, lever_arm_step
+from insemu.gap.candidates.jumps import bias_step, changed_term, lever_arm_step
 from insemu.gap.candidates.robust import beyond_doubt
 from insemu.gap.candidates.shapes import Change, DriveHypothesis, Variant, linear_hypotheses
 from insemu.gap.candidates.steps import multipath_step, placed
@@ -25,7 +25,12 @@ from insemu.gap.problems.noise_of_fixes import NoiseOfFixes
 from insemu.gap.search import Again
 
 #: Effects that begin at a time, which no column of the catalogue has, and what looks for each.
-STEPS = {"gnss_multipath_step": multipath_step, "bias_step": bias_step, "lever_arm_step": lever_arm_step}
+STEPS = {
+    "gnss_multipath_step": multipath_step,
+    "bias_step": bias_step,
+    "lever_arm_step": lever_arm_step,
+    "expression_step": changed_term,
+}
 
 
 def _is_another(one: Window | None, other: Window | None) -> bool:

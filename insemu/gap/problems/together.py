@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.gap.beliefs.nominal import Nominal
+from insemu.gap.candidates.shapes import EQUATIONS
 from insemu.gap.data.samples import mend, with_counts
 from insemu.gap.drive.preparation import Prepared, fast_parts, prepare
-from insemu.gap.drive.scene import ARMS, Scene, Window
+from insemu.gap.drive.scene import ARMS, TERMS, Scene, Window
 from insemu.gap.evidence.fixes import LEVEL_ROWS, NED, joint_noise
 from insemu.gap.evidence.surrogate import FixNoise
 from insemu.gap.problems.known import colour_of
@@ -78,8 +79,9 @@ def left(recording: Recording, nominal: Nominal, findings: Sequence[Finding]) ->
     recording = replace(recording, imu=mended.imu)
     parts = fast_parts(replace(recording, imu=mended.heard), nominal)
     found = list(findings)
-    steps = {k: window for k, s in enumerate(found) if (window := _window(s)) is not None}
-    scene = opened(prepare(recording, nominal, parts, {}, mended)).with_windows(tuple(steps.values()))
+    scene = opened(prepare(recording, nominal, parts, {}, mended))
+    steps = {k: window for k, s in enumerate(found) if (window := _window(scene, s)) is not None}
+    scene = scene.with_windows(tuple(steps.values()))
     owners = _columns(scene, found, list(steps))
     gain = 0.0
     if owners:
@@ -108,8 +110,8 @@ def left(recording: Recording, nominal: Nominal, findings: Sequence[Finding]) ->
     return Left(gain, tuple(found))
 
 
-def _window(finding: Finding) -> Window | None:
-    """Place, start and end (s) of a step in the positions or in a bias; ``None`` of another effect."""
+def _window(scene: Scene, finding: Finding) -> Window | None:
+    """Place, start and end (s) of a step in a scene; ``None`` of another effect."""
     at = {v.name: v.value for v in finding.parameters}
     if finding.effect == "gnss_multipath_step":
         return NED.index(finding.axes[0]), at["start"], at["start"] + at["duration"]
@@ -117,6 +119,9 @@ def _window(finding: Finding) -> Window | None:
         return 3 + AXES.index(f"{finding.sensor}_{finding.axes[0]}"), at["start"], math.inf
     if finding.effect == "lever_arm_step":
         return ARMS + "xyz".index(finding.axes[0]), at["start"], math.inf
+    if finding.effect == "expression_step":
+        places = {(c.sensor, c.axes): k for k, c in enumerate(scene.changing.columns)}
+        return TERMS + places[finding.sensor, finding.axes], at["start"], math.inf
     return None
 
 
@@ -134,9 +139,13 @@ def _columns(scene: Scene, findings: Sequence[Finding], steps: Sequence[int]) ->
     owners: dict[int, tuple[int, str, float]] = {}
     for k, s in enumerate(findings):
         for v in s.parameters:
-            own = (s.effect, s.sensor, v.name)
+            own = (s.effect, s.sensor, v.name, s.axes if s.effect in EQUATIONS else ())
             j = next(
-                (j for j, c in enumerate(scene.columns[: scene.catalogue]) if (c.effect, c.sensor, c.label) == own),
+                (
+                    j
+                    for j, c in enumerate(scene.columns[: scene.catalogue])
+                    if (c.effect, c.sensor, c.label, c.axes if c.effect in EQUATIONS else ()) == own
+                ),
                 None,
             )
             if j is None or j in owners:
