@@ -84,6 +84,7 @@ lock:
 	rm -rf .venv-lock && $(PYTHON) -m venv .venv-lock
 	.venv-lock/bin/python -m pip install --quiet --editable ".[dev,docs,cluster,files]"
 	.venv-lock/bin/python -m pip freeze --exclude-editable --exclude insemu > constraints.txt
+	.venv-lock/bin/python .ci/hashes.py
 	rm -rf .venv-lock
 
 clean:

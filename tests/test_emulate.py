@@ -58,7 +58,7 @@ def test_helicopter_outages_lie_on_straight_legs(helicopter):
     assert helicopter.path.duration == 1200.0
     assert [start for start, _ in helicopter.outages] == [420.0, 660.0, 900.0]
     for start, duration in helicopter.outages:
-        leg = helicopter.leg_at(start, start + duration)
+        (leg,) = [each for each in helicopter.legs if each.start_s <= start and start + duration <= each.end_s]
         assert leg.straight and duration == 60.0
         v = helicopter.path.vel_ned(np.arange(start, start + duration))
         course = np.unwrap(np.arctan2(v[:, 1], v[:, 0]))

@@ -37,14 +37,16 @@ def test_every_start_in_one_pass_is_the_response_from_that_start_on() -> None:
     use_, t = scene.loop.use, scene.motion.t[scene.loop.result.nodes.epoch]
     v = np.where(use_[:, :, None], np.random.default_rng(1).standard_normal((*use_.shape, 2)), 0.0)
     count = len(use_) - 30
-    squares, products = scanned(scene.loop, scene.changing_built, v, count)
+    squares, products = scanned(scene.loop, scene.changing.built, v, count)
     rows = np.flatnonzero(use_)
     rows = rows[rows < 6 * count]
     for node in (2, t.size // 2, t.size - 60):
         for j in (0, 5, 20):
             G = scene.whitened(scene.window_answers([(TERMS + j, t[node - 1], np.inf)]))[: rows.size, 0]
             assert squares[node, j] == pytest.approx(float(G @ G), rel=1e-9)
-            np.testing.assert_allclose(products[node, j], G @ v.reshape(-1, 2)[rows], rtol=1e-6, atol=1e-9 * np.abs(products).max())
+            np.testing.assert_allclose(
+                products[node, j], G @ v.reshape(-1, 2)[rows], rtol=1e-6, atol=1e-9 * np.abs(products).max()
+            )
 
 
 def test_a_scale_factor_that_changes_is_named_with_its_start() -> None:
@@ -97,7 +99,9 @@ def test_before_is_the_recording_as_it_came() -> None:
 
 def test_half_a_sample_is_said_of_values_at_stamps_alone() -> None:
     t = np.arange(100) * 0.01
-    found = Finding("imu_gnss_time_offset", "", "imu", (), (Value("offset", 0.0052, 0.0045, 0.0059, "s"),), 1.0, 50.0, ())
+    found = Finding(
+        "imu_gnss_time_offset", "", "imu", (), (Value("offset", 0.0052, 0.0045, 0.0059, "s"),), 1.0, 50.0, ()
+    )
     values = ImuRecord(t, np.zeros((100, 3)), np.zeros((100, 3)), "sample")
     said = half_sample_said(found, values)
     assert said.variant == HALF_SAMPLE and "kind=mean" in finding_action(said)

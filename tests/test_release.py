@@ -32,6 +32,13 @@ def test_the_conda_recipe_has_the_dependencies_of_the_package() -> None:
     assert asked == dict(map(_parts, project["dependencies"]))
 
 
+def test_the_lock_file_has_the_versions_of_the_constraints_with_hashes() -> None:
+    locked = re.split(r"\n(?! )", (ROOT / "requirements.lock").read_text(encoding="utf-8").strip())
+    assert [entry.split(" ")[0] for entry in locked] == (ROOT / "constraints.txt").read_text(encoding="utf-8").split()
+    for entry in locked:
+        assert re.fullmatch(r"\S+( \\\n    --hash=sha256:[0-9a-f]{64})+", entry), entry
+
+
 def test_workflows_call_the_scripts_of_the_project() -> None:
     jobs = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8"))["jobs"]
     runs = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]

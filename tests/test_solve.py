@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 import yaml
+from scipy import stats
 
 from insemu import earth, intake, noise, rotation
 from insemu.cli import main
@@ -20,12 +21,13 @@ from insemu.filters import smooth
 from insemu.formats import read_recording
 from insemu.formats import write as write_recording
 from insemu.gap import Nominal, session
+from insemu.noise import WN, NoiseModel
 from insemu.records import GnssRecord, ImuRecord, Recording
 from insemu.report import solve_answer
 from insemu.scenario import load
 from insemu.solve import Solution, candidates, cut_everywhere, prepared, solve, summary, way_of_solution, write
 from insemu.solve.against import compare_with
-from insemu.solve.beliefs import adapted, clock_offset
+from insemu.solve.beliefs import adapted, clock_offset, likelihood_of
 from insemu.solve.drive import velocity_lag
 from insemu.solve.outages import Outages, gaps_of
 from insemu.solve.outliers_of_fixes import outlying
@@ -364,9 +366,19 @@ def test_an_axis_that_is_shaken_more_is_found(recording: Recording) -> None:
     drive = prepared(late).started()
     own = adapted(next(c for c in candidates() if c.name == "consumer MEMS"), drive)
     each = adapted(own, drive, by_axis=True)
-    N = {a: each.belief[a].processes[0].parameters["N"] for a in ("gyro_x", "gyro_y", "gyro_z")}
-    assert 0.1 < np.degrees(N["gyro_y"]) < 0.4
-    assert N["gyro_y"] > 2.0 * max(N["gyro_x"], N["gyro_z"])
+    value = likelihood_of(drive)
+
+    def worse(axis: str, density: float) -> float:
+        """By how much twice the log-likelihood falls where an axis has another white noise, (deg/s)/sqrt(Hz)."""
+        white, *rest = each.belief[axis]
+        assert isinstance(white, WN)
+        believed = each.belief | {axis: NoiseModel((WN(N=np.deg2rad(density)), *rest))}
+        return 2.0 * (value(each) - value(replace(each, belief=believed)))
+
+    # how much another axis has, the record tells within a factor of ten: its truth is not refused, that of the shaken one is told
+    limit = stats.chi2.isf(1e-3, 1)
+    assert worse("gyro_y", 0.2) < limit < worse("gyro_y", 0.02)
+    assert max(worse("gyro_x", 0.02), worse("gyro_z", 0.02)) < limit
     assert min(each.position, each.velocity) >= 1.0
     assert each.about.count("likelihood") == 1 and "gyro_y white noise" in each.about
 

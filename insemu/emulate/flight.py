@@ -39,13 +39,6 @@ class Flight:
         """Name of the path."""
         return self.path.name
 
-    def leg_at(self, start_s: float, end_s: float) -> Leg | None:
-        """The leg that contains a whole interval, if there is one."""
-        for leg in self.legs:
-            if leg.start_s <= start_s and end_s <= leg.end_s:
-                return leg
-        return None
-
 
 def origin_at(lat_deg: float, lon_deg: float, height: float) -> Array:
     """Latitude rad, longitude rad, height m.

@@ -532,32 +532,3 @@ def refit(result: FitResult, value: Array) -> FitResult:
         objective=best.objective,
         converged=best.converged,
     )
-
-
-def choose_scales(result: FitResult) -> tuple[int, Array]:
-    """How many scales, from the shortest, give the smallest generalized variance of the parameters (log-determinant of their covariance).
-
-    Parameters
-    ----------
-    result : FitResult
-        Of this method, with all scales.
-
-    Returns
-    -------
-    int, (J,) array
-        The number, and the log-determinant for the first 1, 2, ... scales (infinite where they do not determine the parameters).
-    """
-    D, V, W = (result.details[k] for k in ("jacobian", "curve_covariance", "W"))
-    alive = np.linalg.norm(D, axis=0) > 0
-    D = D[:, alive]
-    size = np.array([e.value for e in result.parameters if e.free])[alive]
-    out = np.full(V.shape[0], math.inf)
-    diagonal = W.shape[0] == W.shape[1] and np.count_nonzero(W - np.diag(np.diag(W))) == 0
-    for j in range(max(D.shape[1], 1), V.shape[0] + 1):
-        rows = W[:j, :j] if diagonal else root_of_inverse(V[:j, :j])
-        covariance, lost = parameter_covariance(D[:j] * size, rows, V[:j, :j])
-        if not lost:
-            sign, value = np.linalg.slogdet(covariance)
-            if sign > 0:
-                out[j - 1] = value
-    return int(np.argmin(out)) + 1, out

@@ -40,33 +40,6 @@ PIECE = 1 << 20
 LOGARITHMIC = 1000
 
 
-def continuous_transition(F: Array, GQG: Array, interval: float) -> tuple[Array, Array]:
-    """Transition and driving covariance of ``x' = F x + G w`` over an interval, equations (14), (18) and (21) of Nikolic et al. 2016.
-
-    Parameters
-    ----------
-    F, GQG : (n, n) arrays
-        Dynamics, and ``G Q G'``.
-    interval : float
-        s.
-
-    Returns
-    -------
-    Phi, Qd : (n, n) arrays
-        The exponential of the 2n x 2n matrix is taken after balancing, without which long intervals lose all digits.
-    """
-    n = F.shape[0]
-    big = np.block([[-F, GQG], [np.zeros((n, n)), F.T]]) * interval
-    balanced, (scale, permutation) = scipy.linalg.matrix_balance(big, separate=True)
-    e = scipy.linalg.expm(balanced)
-    undone = np.empty_like(e)
-    rows = np.argsort(permutation)
-    undone = (scale[:, None] * e / scale[None, :])[np.ix_(rows, rows)]
-    Phi = undone[n:, n:].T
-    Qd = Phi @ undone[:n, n:]
-    return Phi, 0.5 * (Qd + Qd.T)
-
-
 def sampling_pattern(n_samples: int, pattern: Pattern = "uniform", points: int | None = None) -> NDArray[np.int64]:
     """Sample counts at which the integral is looked at, ascending, the last at or near the record's end.
 

@@ -28,7 +28,7 @@ from insemu.errors import InputError
 from insemu.formats.clocks import CLOCKS
 from insemu.formats.columns import split_header
 from insemu.formats.decoding import decoding, open_text
-from insemu.formats.npz import keys_of, load_npy, load_npz, numbers, scalar, texts
+from insemu.formats.npz import load_npy, load_npz, numbers, scalar, texts
 from insemu.formats.table import Besides
 from insemu.formats.text import read_table, write_table
 from insemu.records import (
@@ -84,11 +84,6 @@ _CSV_UNITS = {
     "temperature": "degC",
     "h": "m",
 }
-
-
-def is_npz_recording(path: Path) -> bool:
-    """Whether an ``.npz`` holds a recording (``imu`` with ``imu_t``) rather than a static log."""
-    return path.suffix == ".npz" and path.is_file() and bool({"imu_t", "imu"} & keys_of(path))
 
 
 def is_folder_recording(path: Path) -> bool:
