@@ -256,14 +256,16 @@ def clock_of(columns: Columns) -> str:
 MOST_LEFT_OUT = 0.01
 
 
-def timed(t: Array, values: Array, story: Story, what: str, *, imu: bool = False) -> tuple[NDArray[np.intp], Array]:
+def timed(
+    t: Array, values: Sequence[Array], story: Story, what: str, *, imu: bool = False
+) -> tuple[NDArray[np.intp], Array]:
     """Rows in the order of time, and their times: of an IMU those of its samples, of fixes the stamps, but where many rows share one.
 
     Parameters
     ----------
     t : (n,) array
         Stamps, s.
-    values : (n, k) array
+    values : sequence of (n, k) arrays
         By which repeated rows are known.
     story : Story
         Gets what was done.
@@ -271,7 +273,9 @@ def timed(t: Array, values: Array, story: Story, what: str, *, imu: bool = False
         What its notes call the table.
     imu : bool
     """
-    same = np.concatenate([[False], (np.diff(values, axis=0) == 0.0).all(axis=1)])
+    same = np.concatenate([[False], values[0][1:, 0] == values[0][:-1, 0]])
+    alike = np.flatnonzero(same)  # few rows: only they are compared in all columns
+    same[alike] = np.all([(v[alike] == v[alike - 1]).all(axis=1) for v in values], axis=0)
     if not imu:
         rows, said = in_order(t, same)
         fresh = np.concatenate([[True], t[rows[1:]] > np.maximum.accumulate(t[rows])[:-1]])
@@ -359,15 +363,16 @@ def imu_of(parts: Sequence[Columns], story: Story) -> ImuRecord:
             story.notes.append("the accelerometer has stamps of its own; it was interpolated to the gyroscope's")
     gyro_values = first.values["gyro"]
     temperature = first.values.get("temperature")
-    rows = np.arange(first.t.size)
-    if not (np.isfinite(gyro_values).all() and np.isfinite(accel).all()):
-        rows = np.flatnonzero(np.isfinite(gyro_values).all(axis=1) & np.isfinite(accel).all(axis=1))
+    rows, given = np.arange(first.t.size), (gyro_values, accel)
+    if not all(np.isfinite(v).all() for v in given):
+        rows = np.flatnonzero(np.isfinite(np.hstack(given)).all(axis=1))
+        given = gyro_values[rows], accel[rows]
     story.missing += first.t.size - rows.size
     if first.t.size - rows.size:
         story.notes.append(f"IMU: {first.t.size - rows.size} of {first.t.size} rows hold no number; they were left out")
     if rows.size < 3:
         raise InputError(f"has {rows.size} usable row(s) of IMU data, expected at least 3", where=first.table.name)
-    order, t = timed(first.t[rows], np.hstack([gyro_values[rows], accel[rows]]), story, "IMU", imu=True)
+    order, t = timed(first.t[rows], given, story, "IMU", imu=True)
     rows = rows[order]
     if not np.array_equal(rows, np.arange(first.t.size)):
         gyro_values, accel = gyro_values[rows], accel[rows]
@@ -390,6 +395,8 @@ def _rows(part: Columns, rows: NDArray[np.intp]) -> Columns:
 
 def _share_partly(part: Columns) -> float:
     """Share of rows that hold one of the sensors and not the other."""
+    if all(np.isfinite(part.values[role]).all() for role in ("gyro", "accel")):
+        return 0.0
     gyro, accel = (np.isfinite(part.values[role]).all(axis=1) for role in ("gyro", "accel"))
     return float(np.mean(gyro ^ accel)) if gyro.size else 0.0
 
@@ -398,7 +405,7 @@ def _only(part: Columns, role: str, story: Story) -> Columns:
     good = _rows(part, np.flatnonzero(np.isfinite(part.values[role]).all(axis=1)))
     if not good.t.size:
         raise InputError("holds no row of numbers", where=part.table.name)
-    rows, t = timed(good.t, good.values[role], story, f"{part.table.name}, {role}", imu=True)
+    rows, t = timed(good.t, (good.values[role],), story, f"{part.table.name}, {role}", imu=True)
     return replace(_rows(good, rows), t=t)
 
 

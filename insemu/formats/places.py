@@ -122,7 +122,7 @@ def gnss_of(part: Columns, story: Story) -> GnssRecord:
         story.notes.append(
             f"fixes: {part.t.size - rows.size} of {part.t.size} rows hold no position; they were left out"
         )
-    order, t = timed(part.t[rows], llh[rows], story, "fixes")
+    order, t = timed(part.t[rows], (llh[rows],), story, "fixes")
     rows = rows[order]
 
     def cut(values: Array | None) -> Array | None:
@@ -183,7 +183,7 @@ def reference_of(part: Columns, story: Story) -> Trajectory:
     if velocity is not None:
         good &= np.isfinite(velocity).all(axis=1)
     rows = np.flatnonzero(good)
-    order, t = timed(part.t[rows], llh[rows], story, "reference")
+    order, t = timed(part.t[rows], (llh[rows],), story, "reference")
     rows = rows[order]
     if rows.size < 2:
         raise InputError(f"has {rows.size} usable row(s) of truth, expected at least 2", where=part.table.name)

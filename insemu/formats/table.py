@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from insemu.formats.columns import ColumnMap, guess_map, split_header
 from insemu.formats.decoding import decoding, encoding_of, head_of, open_for_pandas, open_text
-from insemu.formats.text import Growing, pieces
+from insemu.formats.text import pieces
 from insemu.records import AidRecord, InitialState, Preparation
 
 
@@ -239,11 +239,12 @@ def _joined(part: list[NDArray[Any] | None], rows: Sequence[int]) -> NDArray[Any
         return None
     kind = np.result_type(*(p for p in part if p is not None))
     empty = np.datetime64("NaT") if kind.kind == "M" else np.nan
-    column = Growing(1)
+    column, end = np.empty(sum(rows), dtype=kind), 0
     for k, n in enumerate(rows):
         piece, part[k] = part[k], None
-        column.add([np.full(n, empty) if piece is None else piece.astype(kind, copy=False)])
-    return column.whole()[0]
+        column[end : end + n] = empty if piece is None else piece
+        end += n
+    return column
 
 
 def _numbered(width: int) -> list[str]:
