@@ -106,6 +106,7 @@ def _imu_lines(data: Opened, imu: ImuRecord, found: receiver.Agreement | None, u
             lines += motion or fixed.offset(turn)
             if not stands:  # what is read wrongly says nothing about axes
                 return lines + [x for x in checks.force(imu, False) if x.level == "wrong" and "--map" not in x.mend]
+            lines += fixed.slope(turn)
     lines += checks.force(imu, any(x.topic == "motion" and x.level == "ok" for x in motion))
     if data.reference is not None:
         lines += fixed.together(imu, data.reference, "reference")

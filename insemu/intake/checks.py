@@ -33,6 +33,8 @@ BELIEVED, REFUSES, FEWEST = 8.0, 12.0, 20
 TILTED = 0.8
 #: Shortest record of which it is asked whether it was moved, s; a second moves that spreads by so many times the median second.
 REST_SECONDS, MOVED = 60, 10.0
+#: Means of a second at rest differ by the white noise in them, less than so many times.
+RESTS = 5.0
 #: Longest part of a record at rest in which it is moved; more is a drive.
 HANDLED = 0.2
 #: Size of the mean specific force, in units of gravity, up to which a manoeuvre explains it (a 3-g turn all the time).
@@ -131,6 +133,9 @@ def moved(t: Array, values: Array) -> list[Line]:
     spread = blocks.std(axis=1)
     usual = np.median(spread, axis=0)
     moving = (spread > MOVED * np.maximum(usual, 1e-300)).any(axis=1)
+    means = blocks[~moving].mean(axis=1)
+    if (np.quantile(np.abs(np.diff(means, axis=0)), 0.95, axis=0) > RESTS * usual / np.sqrt(count)).any():
+        return []  # it was never at rest
     rows = np.flatnonzero(moving)
     if rows.size < 2 or rows[-1] - rows[0] + 1 > HANDLED * n or not (usual > 0.0).all():
         return []

@@ -157,6 +157,14 @@ def offset(turn: Turn | None) -> list[Line]:
     return [Line("clock", "odd", text, f'--map "gnss_shift={turn.shift:+.2f} s"')]
 
 
+def slope(turn: Turn | None) -> list[Line]:
+    """Turns of the fixes that are another multiple of the gyroscope's than 1."""
+    if turn is None or not believed(turn) or near(abs(turn.slope), 1.0, NEAR):
+        return []
+    text = f"the course turns {turn.slope:.2f} times as much as the gyroscope says ({turn.intervals} intervals, correlation {turn.correlation:.2f})"
+    return [Line("angular rate", "odd", text)]
+
+
 def weighed(
     imu: ImuRecord, gnss: GnssRecord, found: Agreement | None, units: Mapping[str, str], turn: Turn | None
 ) -> tuple[list[Line], bool]:
@@ -191,8 +199,9 @@ def weighed(
         shift = turn.shift if turn.gain_nats > OFFSET_NATS else 0.0
         turning = Turning(turns(imu, track, shift), up_of(imu)[0], shift, turn.slope)
     others = {}
-    if track.span and (swapped := swapped_track(gnss)) is not None and Windows(imu, swapped).count >= FEWEST:
-        others["latlon=swapped"] = Windows(imu, swapped).explain()
+    if track.span and (swapped := swapped_track(gnss)) is not None and (there := Windows(imu, swapped)).count >= FEWEST:
+        there.floor = windows.floor
+        others["latlon=swapped"] = there.explain()
     return Weighing(windows, imu.kind, imu.dt, units, track.span == 0.0, turning, others).lines()
 
 

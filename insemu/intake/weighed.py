@@ -37,6 +37,8 @@ SCALE_STEP = 1.02
 SCREENED, KEPT = 10, 8
 #: Shortest shift of the fixes that is said, s; first step of the search and its end.
 OFFSET, SHIFT, SHIFT_STEP = 0.1, 0.2, 0.02
+#: Step of the shifts by which the parts of a record are compared, s.
+DRIFT = 0.4
 #: Course and heading differ so much at least, m/s across.
 SLIP = 0.2
 #: Delays that are tried, s.
@@ -297,11 +299,23 @@ class Weighing:
             tried.append(best)
         return max(tried, key=lambda e: e.nats)
 
+    def _drift(self, shift: float) -> float:
+        """How much more the last third of the windows wants the fixes shifted than the first, s; 0 where it is no more than a search tells."""
+        eye, third = np.eye(3), max(1, self.windows.count // 3)
+        grid = shift + DRIFT * np.arange(-4, 5)
+        left = np.log1p(np.array([self.score(eye, eye, shift=float(s)).left for s in grid]) / self.windows.floor)
+        first, last = (
+            grid[int(np.argmin(left[:, part].sum(axis=1)))] for part in (slice(None, third), slice(-third, None))
+        )
+        return float(last - first) if abs(last - first) > 1.5 * DRIFT else 0.0
+
     def _shifts(self) -> list[Named]:
         best = self.shift()
         s = best.reading.shift
         if abs(s) < OFFSET:
             return []
+        if (drift := self._drift(s)) != 0.0:
+            return [Named({}, f"the clocks of IMU and fixes run apart, by about {drift:+.1f} s over the record", best)]
         leap = ", as many as the leap seconds of UTC" if abs(abs(s) - 18.0) < 0.6 else ""
         said = f"the fixes are {abs(s):.2f} s {'late' if s < 0 else 'early'} against the IMU{leap}"
         return [Named({"gnss_shift": f"{s:+.2f} s"}, said, best)]
@@ -336,7 +350,10 @@ class Weighing:
 
     def lines(self) -> tuple[list[Line], bool]:
         """What is said, and whether the declared reading stands."""
-        best = self.best() if not self.fine(self.declared) else []
+        doubted = not self.fine(self.declared) or any(
+            f.total - self.declared.total > PLAIN for f in self._simple().values()
+        )
+        best = self.best() if doubted else []
         w = self.windows
         left = (
             f"{self.declared.rms:.2g} m/s of the velocities of the fixes are left ({w.count} windows of {w.length:.0f} s; "
@@ -385,10 +402,10 @@ class Weighing:
         text = f"{left}, {best[0].found.rms:.2g} m/s if {what}"
         return Line("motion", level, text, best[0].command if len(best) == 1 else "")
 
-    def _power(self) -> list[Line]:
-        """What would have been seen, and what would not."""
+    def _simple(self) -> dict[str, Explained]:
+        """The plainest other readings."""
         eye = np.eye(3)
-        tried = {
+        return {
             "gyroscope opposite": self.score(-eye, eye),
             "gyroscope x and y swapped": self.score(_ORDERS["y x z"], eye),
             "gyroscope x and z swapped": self.score(_ORDERS["z y x"], eye),
@@ -397,6 +414,10 @@ class Weighing:
             "accelerometer y opposite": self.score(eye, _ORDERS["x -y z"]),
             "sensors 0.3 s apart": self.score(eye, eye, lag=-0.3),
         }
+
+    def _power(self) -> list[Line]:
+        """What would have been seen, and what would not."""
+        tried = self._simple()
         seen = [name for name, found in tried.items() if better(self.declared, found)]
         out = [Line("order", "ok", f"would have been seen: {', '.join(seen)}")] if seen else []
         hidden = [name for name in tried if name not in seen]

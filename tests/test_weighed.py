@@ -1,0 +1,70 @@
+"""Readings of a recording weighed together: commands that are given make it right, what nothing makes right gets none."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from insemu.formats import Opened, open_files, write
+from insemu.formats.names import english
+from insemu.intake import examine
+from insemu.records import ImuRecord, Recording
+from tests.wrong_recordings import flown
+
+UAV = {"which": "turbulent_uav", "start": 30.0, "seconds": 150.0, "sigma": 0.05, "seed": 5}
+
+
+def spoilt(folder: Path, change: Callable[[ImuRecord], ImuRecord]) -> tuple[Opened, Opened]:
+    good = flown(**UAV)  # type: ignore[arg-type]
+    assert good.imu is not None
+    return good, open_files(write(folder / "a.npz", Recording(change(good.imu), good.gnss)))
+
+
+@pytest.mark.parametrize(
+    ("change", "settings"),
+    [
+        (lambda i: replace(i, gyro=i.gyro[:, [1, 0, 2]]), {"gyro_axes": "y x z"}),
+        (lambda i: replace(i, accel=-i.accel), {"accel_axes": "-x -y -z"}),
+        (lambda i: replace(i, accel=i.accel * [1.0, -1.0, 1.0]), {"accel_axes": "x -y z"}),
+    ],
+)
+def test_the_command_that_is_given_makes_the_recording_right(
+    tmp_path: Path, change: Callable[[ImuRecord], ImuRecord], settings: dict[str, str]
+) -> None:
+    good, wrong = spoilt(tmp_path, change)
+    (line,) = [x for x in examine(wrong).of("wrong") if x.topic == "motion"]
+    assert wrong.again is not None and line.mend == wrong.again.options(settings)
+    mended = wrong.again.read(settings)
+    assert not examine(mended).of("wrong")
+    np.testing.assert_allclose(mended.imu.gyro, good.imu.gyro)  # type: ignore[union-attr]
+    np.testing.assert_allclose(mended.imu.accel, good.imu.accel)  # type: ignore[union-attr]
+
+
+def test_fixes_of_another_drive_get_no_command(tmp_path: Path) -> None:
+    good, other = flown(**UAV), flown("urban_drive_2", start=20.0, seconds=150.0)  # type: ignore[arg-type]
+    assert good.imu is not None and other.gnss is not None
+    fixes = replace(other.gnss, t=other.gnss.t - other.gnss.t[0] + good.imu.t[0])
+    card = examine(open_files(write(tmp_path / "a.npz", Recording(good.imu, fixes))))
+    assert card.of("wrong") and not any(x.mend for x in card.of("wrong"))
+
+
+def test_names_of_other_languages_are_known() -> None:
+    assert english("Beschleunigung Z") == "acceleration Z" and english("acc_z") == "acc_z"
+
+
+def test_a_binary_dataflash_log_is_read(tmp_path: Path) -> None:
+    def form(kind: int, size: int, name: str, types: str, labels: str) -> bytes:
+        return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, size, name.encode(), types.encode(), labels.encode())
+
+    rows = [b"\xa3\x95\x82" + struct.pack("<QB6f", 10_000 * k, 0, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8) for k in range(20)]
+    labels = "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"
+    head = form(0x80, 89, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns") + form(0x82, 36, "IMU", "QBffffff", labels)
+    (tmp_path / "a.bin").write_bytes(head + b"".join(rows))
+    found = open_files(tmp_path / "a.bin")
+    assert found.imu is not None and len(found.imu) == 20
+    np.testing.assert_allclose(found.imu.gyro[0], [0.1, 0.2, 0.3], rtol=1e-6)
