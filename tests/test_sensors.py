@@ -208,7 +208,8 @@ def test_the_figures_of_a_card_have_addresses_and_the_sizes_of_inertial_sensors(
         start = figures.get("turn_on_bias")
         limit = {"gyro": 20 * DEG, "accel": 100_000 * UG}[sensor]
         assert all(figure.value <= limit for figure in [*in_run, *([start] if start else [])])
-        if start and in_run:  # a bias changes less within a run than from one start to the next; published models may halve that
+        # a bias changes less within a run than from one start to the next; a published model may halve that
+        if start and in_run:
             assert in_run[0].value <= 2.0 * start.value
 
 
@@ -264,8 +265,8 @@ def test_the_command_lists_shows_and_writes(tmp_path) -> None:
     assert listed.exit_code == 0
     assert all(name in listed.output for name in names())
     page = (Path(__file__).parents[1] / "docs" / "howto" / "datasheet_values.md").read_text(encoding="utf-8")
-    told = re.search(r"(\d+) cards come with insemu", page)
-    assert told and f"\n{told[1]} cards\n" in listed.output and int(told[1]) == len(names())
+    stated = re.search(r"(\d+) cards come with insemu", page)
+    assert stated and f"\n{stated[1]} cards\n" in listed.output and int(stated[1]) == len(names())
     shown = runner.invoke(app, ["sensor", "ADIS16470", "--worst-factor", "3", "--band", "1 s", "100 s"])
     assert "WN(N=0.34 deg/sqrt(h)) + BI(B=12.04 deg/h, tau_to=100 s)" in shown.output
     assert "1.02 deg/sqrt(h) assumed" in shown.output
