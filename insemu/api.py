@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, overload, runtime_checkable
@@ -62,9 +62,9 @@ Pattern = Literal["uniform", "log"]
 
 def si(value: Quantity, unit: str) -> float:
     """A quantity as text with its unit (``"100 Hz"``), or a number in the SI unit."""
-    from insemu import units
+    from insemu.units import parse
 
-    return units.parse(value, unit) if isinstance(value, str) else float(value)
+    return parse(value, unit) if isinstance(value, str) else float(value)
 
 
 @contextmanager
@@ -537,6 +537,7 @@ def solve(
     models: str = "",
     designs: Sequence[str] = (),
     lever_arm: Sequence[float] | None = None,
+    trajectory_rate: float | None = None,
     workers: int = 1,
 ) -> Solution:
     """The way, calibration and metres without GNSS of a real recording, without a scenario.
@@ -555,6 +556,8 @@ def solve(
         Designs of ``insemu designs`` that are tried beside the generic ones.
     lever_arm : (3,) sequence of float, optional
         IMU to antenna in the axes of the recording, m; estimated where it is not given.
+    trajectory_rate : float, optional
+        Of the trajectory, Hz; one epoch a second where it is not given.
     workers : int
         Threads.
 
@@ -573,14 +576,11 @@ def solve(
             raise InputError("gnss and map belong to a file, found a Recording")
         data, card = recording, intake.examine(recording)
     else:
-        with ExitStack() as stack:
-            file = stack.enter_context(file_of(recording))
-            fixes = None if gnss is None else stack.enter_context(file_of(gnss))
+        with file_of(recording) as file, nullcontext() if gnss is None else file_of(gnss) as fixes:
             found = formats.open_files(file, gnss=fixes, maps=(map, "", ""))
-            card = intake.examine(found)
-            data = found.recording()
+            data, card = found.recording(), intake.examine(found)
     card.check()
-    return one(data, card, beliefs, lever_arm=(0.0, 0.0, 0.0) if lever_arm is None else lever_arm, workers=workers)
+    return one(data, card, beliefs, lever_arm=lever_arm, rate=trajectory_rate, workers=workers)
 
 
 def plot(result: Any, axes: Any = None, *, view: int | str = 0) -> Any:

@@ -15,6 +15,7 @@ import numpy as np
 import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
+from insemu.compiled import njit
 from insemu.errors import InputError
 
 Array = NDArray[np.float64]
@@ -244,6 +245,54 @@ def _jumps(left: Array, width: int, side: int) -> Array:
     return out
 
 
+#: Stamps are counted in so many bins an interval for their periodogram, whose peak is looked for within this share of the rate.
+_BINS, _NEAR = 8, 0.05
+#: Losses that are weighed at a time, at most so many at one step; what a stamp before its sample costs, nats an interval; least share of losses.
+_AHEAD, _AT_ONCE, _EARLY, _RARE = 24, 3, 50.0, 1e-4
+
+
+def _by_delays(t: Array, interval: float, count: Array, stray: float) -> Array:
+    """Samples of every step where each stamp has a delay of its own, exponential: the likeliest losses (Viterbi 1967), at the interval at which
+    stamps are most in step, losses or not (the peak of their periodogram).
+    """
+    bins = np.bincount(((t - t[0]) * (_BINS / interval)).astype(np.int64)).astype(np.float64)
+    size = scipy.fft.next_fast_len(4 * bins.size)
+    power = np.abs(scipy.fft.rfft(bins - bins.mean(), size))
+    near = np.arange(int(size * (1.0 - _NEAR) / _BINS), min(int(size * (1.0 + _NEAR) / _BINS) + 2, power.size))
+    x = t / interval * float(near[np.argmax(power[near])]) * _BINS / size - np.arange(t.size)
+    share = max(float(count.sum() - count.size) / t.size, _RARE)
+    return 1.0 + _likeliest_losses(x - x[:_WIDEST].min(), stray, float(np.log(share)))[1:]
+
+
+@njit(cache=True, nogil=True)
+def _likeliest_losses(x: Array, scale: float, rare: float) -> Array:
+    """Losses before every row (n,) from stamps in intervals less one a row and the least delay, the scale of delays and the logarithm of a loss."""
+    n = x.size
+    score, new = np.full(_AHEAD, -1e300), np.empty(_AHEAD)
+    back, moved = np.zeros((n, _AHEAD), np.int8), np.zeros(n, np.int64)
+    base, score[0] = 0, 0.0
+    for k in range(n):
+        for w in range(_AHEAD):
+            best, lost = score[w], 0
+            for j in range(1, min(_AT_ONCE, w) + 1 if k else 0):
+                if score[w - j] + j * rare > best:
+                    best, lost = score[w - j] + j * rare, j
+            delay = x[k] - base - w
+            new[w] = best - (delay / scale if delay >= 0.0 else -_EARLY * delay)
+            back[k, w] = lost
+        top = int(np.argmax(new))
+        moved[k] = max(top - _AHEAD // 2, 0)
+        base += moved[k]
+        for w in range(_AHEAD):
+            score[w] = new[w + moved[k]] - new[top] if w + moved[k] < _AHEAD else -1e300
+    out, at = np.zeros(n), int(np.argmax(score))
+    for k in range(n - 1, -1, -1):
+        at += moved[k]
+        out[k] = back[k, at]
+        at -= back[k, at]
+    return out
+
+
 # --------------------------------------------------------------------------------------------------------------- the clock
 
 
@@ -364,8 +413,22 @@ def sample_times(stamps: Array, same: NDArray[np.bool_] | None = None) -> Sample
     resolution = _resolution(t) / interval
     if _stray(step / interval - count + 1.0, resolution) < PRECISE and step.min() > 0.0:
         return found
+    stray = _stray(step / interval, resolution)
+    late = _by_steps(step / interval, stray)[1]
+    line, side, sigma = _put(t, count, interval, late, shared)
+    if stray > _CLEAR and shared < _SHARED:
+        again = _by_delays(t, interval, count, stray)
+        other = _put(t, again, interval, late, shared)
+        if other[1] > 0 and other[2] < sigma:
+            count, (line, side, sigma) = again, other
+    interval = float(line[-1] - line[0]) / float(count.sum())
+    found = replace(found, t=line, interval=interval, sigma=sigma, lost=int(count.sum() - count.size))
+    return replace(found, said=(*_told(found, t - line, t, side), *said))
+
+
+def _put(t: Array, count: Array, interval: float, late: NDArray[np.bool_], shared: float) -> tuple[Array, int, float]:
+    """Samples on the clock of so many to every step, on which side of them stamps lie, and by how much they scatter, s."""
     n = np.concatenate([[0.0], np.cumsum(count)])
-    late = _by_steps(step / interval, _stray(step / interval, resolution))[1]
     line, every = _clock(n, t, interval, late)
     side = _side(t, (t - line)[~late], shared)
     if side:
@@ -373,10 +436,7 @@ def sample_times(stamps: Array, same: NDArray[np.bool_] | None = None) -> Sample
     if not (np.diff(line) > 0.0).all():
         line = _line(n, t, np.inf)
     left = t - line
-    sigma = float(np.std(np.clip(left, *np.quantile(left, [0.001, 0.999]))))
-    interval = float(line[-1] - line[0]) / float(n[-1])
-    found = replace(found, t=line, interval=interval, sigma=sigma)
-    return replace(found, said=(*_told(found, left, t, side), *said))
+    return line, side, float(np.std(np.clip(left, *np.quantile(left, [0.001, 0.999]))))
 
 
 def _told(found: SampleTimes, left: Array, stamps: Array, side: int) -> list[str]:

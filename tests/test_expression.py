@@ -57,7 +57,7 @@ def test_what_is_no_equation_is_refused_and_never_run(text, said):
 
 
 def test_only_an_expression_has_an_equation_and_it_needs_one():
-    with pytest.raises(InputError, match="expected it of the effect 'expression' alone"):
+    with pytest.raises(InputError, match="expected it of 'expression' and 'expression_step'"):
         EffectUse.from_mapping({"effect": "lever_arm", "value": 1.0, "equation": "east = speed"})
     with pytest.raises(InputError, match="needs the key 'equation'"):
         EffectUse.from_mapping({"effect": "expression", "sensor": "gnss", "value": 1.0})

@@ -37,7 +37,7 @@ def test_every_start_in_one_pass_is_the_response_from_that_start_on() -> None:
     use_, t = scene.loop.use, scene.motion.t[scene.loop.result.nodes.epoch]
     v = np.where(use_[:, :, None], np.random.default_rng(1).standard_normal((*use_.shape, 2)), 0.0)
     count = len(use_) - 30
-    squares, products = scanned(scene.loop, scene.changing_built, v, count)
+    squares, products = scanned(scene.loop, scene.changing.built, v, count)
     rows = np.flatnonzero(use_)
     rows = rows[rows < 6 * count]
     for node in (2, t.size // 2, t.size - 60):

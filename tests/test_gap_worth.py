@@ -96,15 +96,19 @@ def test_an_effect_in_a_drive_is_worth_what_the_filter_shows_through_an_outage()
     prepared = prepare(recording, s.nominal, fast_parts(recording, s.nominal), {})
     at = Scene.of(prepared)
     j = next(k for k, c in enumerate(at.columns) if (c.effect, c.sensor) == ("scale_factor", "accel"))
-    value, start = 0.2 * at.columns[j].scale, float(prepared.gnss.t[70]) + 0.01
-    ends = []
-    for imu in (prepared.imu, corrected_data(prepared, at.columns, {j: value}, prepared.result.fixes.t)[0]):
-        result = prepared.again(imu=imu, gnss=outage(prepared.gnss, start)).result
-        ends.append(result.nav[np.searchsorted(result.t, start + T) - 1, :3])
-    away = earth.position_difference(ends[0][None], ends[1])[0]
-    assert worth_in_motion(at.loop, at.motion, [at.columns[j]], [value], [start]) == pytest.approx(
-        math.hypot(away[0], away[1]), rel=0.08
-    )
+    value = 0.2 * at.columns[j].scale
+    changed = corrected_data(prepared, at.columns, {j: value}, prepared.result.fixes.t)[0]
+    for fix in (40, 70, 200):
+        start = float(prepared.gnss.t[fix]) + 0.01  # just after a fix that is used; the next one is not
+        ends = []
+        for imu in (prepared.imu, changed):
+            result = prepared.again(imu=imu, gnss=outage(prepared.gnss, start)).result
+            ends.append(result.nav[np.searchsorted(result.t, start + T) - 1, :3])
+        away = earth.position_difference(ends[0][None], ends[1])[0]
+        # both are a hundredth of a second from a minute, and the scale is small enough to be linear
+        assert worth_in_motion(at.loop, at.motion, [at.columns[j]], [value], [start]) == pytest.approx(
+            math.hypot(away[0], away[1]), rel=0.01
+        )
     # linear, and all along the drive of the same order
     assert worth_in_motion(at.loop, at.motion, [at.columns[j]], [2.0 * value], [start]) == pytest.approx(
         2.0 * worth_in_motion(at.loop, at.motion, [at.columns[j]], [value], [start]), rel=1e-9
@@ -145,7 +149,7 @@ def test_an_outage_on_the_way_knows_the_attitude_and_the_motion() -> None:
         for a in "xz"
     )
     blind = worth_in_noise(finding("gauss_markov", "gyro", sigma=1e-4, beta=0.1))
-    assert heading < 0.6 * tilt and tilt < blind  # what a turning vehicle tilts, it tilts to all sides
+    assert heading < tilt < blind  # what a turning vehicle tilts, it tilts to all sides
     assert math.isnan(worth_in_noise(finding("gauss_markov", "gyro", sigma=1e-4, beta=0.1), None, ()))
 
 

@@ -190,3 +190,16 @@ def test_files_as_users_have_them_keep_every_row(name: str, rate: float, tmp_pat
     found = open_files(tmp_path / f"{name}.csv").imu
     assert found is not None and len(found) == 20_000
     assert abs(1.0 / found.dt - rate) < 1e-3 and abs(found.t[-1] - found.t[0] - 199.99) < 2e-3
+
+
+@pytest.mark.parametrize(("share", "delay"), [(0.0, 0.005), (0.001, 0.005), (0.01, 0.002), (0.01, 0.005), (0.03, 0.005)])
+def test_losses_are_counted_among_stamps_of_reception(share: float, delay: float) -> None:
+    """Delays of half an interval hide a lost sample from every step of its own; the likeliest sequence of losses does not miss it."""
+    rng, n, interval = np.random.default_rng(5), 30_000, 0.01 * (1.0 + 3e-5)
+    kept = rng.random(n) >= share
+    true = interval * np.flatnonzero(kept)
+    found = sample_times(np.round(np.maximum.accumulate(true + 0.015 + rng.exponential(delay, true.size)), 4))
+    lost = round(true[-1] / interval) - round(true[0] / interval) + 1 - true.size
+    assert abs(found.lost - lost) <= 1
+    assert abs(found.interval / interval - 1.0) < 5e-6
+    assert found.t.size == true.size and np.std(found.t - true) < 0.15 * interval

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 import yaml
+from scipy import stats
 
 from insemu import earth, intake, noise, rotation
 from insemu.cli import main
@@ -20,16 +21,17 @@ from insemu.filters import smooth
 from insemu.formats import read_recording
 from insemu.formats import write as write_recording
 from insemu.gap import Nominal, session
+from insemu.noise import WN, NoiseModel
 from insemu.records import GnssRecord, ImuRecord, Recording
 from insemu.report import solve_answer
 from insemu.scenario import load
-from insemu.solve import Solution, candidates, cut_everywhere, prepared, solve, summary, write
+from insemu.solve import Solution, candidates, cut_everywhere, prepared, solve, summary, way_of_solution, write
 from insemu.solve.against import compare_with
-from insemu.solve.beliefs import adapted, clock_offset
+from insemu.solve.beliefs import adapted, clock_offset, likelihood_of
 from insemu.solve.drive import velocity_lag
 from insemu.solve.outages import Outages, gaps_of
 from insemu.solve.outliers_of_fixes import outlying
-from insemu.solve.solution import Scored, flown
+from insemu.solve.solution import Scored, Track, flown
 from tests.shared_data import shared
 
 LATE, ARM = 0.12, np.array([0.6, -0.3, -1.1])
@@ -88,6 +90,31 @@ def test_the_smoothed_way_is_the_true_one(solution: Solution, recording: Recordi
     error = earth.position_difference(s.nav[:, :3], at)
     share = np.abs(error / s.sigma[:, :3]) < 3.0
     assert share.mean() > 0.9 and np.sqrt((error**2).mean()) < 0.15
+
+
+def test_a_trajectory_at_another_rate_is_that_of_a_smoother_with_as_many_nodes(
+    solution: Solution, tmp_path: Path
+) -> None:
+    drive, candidate = solution.drive, solution.taken.candidate
+    track = Track.of(candidate, drive, 12.0)  # of 25 Hz every second epoch
+    assert np.diff(track.t) == pytest.approx(0.08, abs=0.041) and np.median(np.diff(track.t)) == pytest.approx(0.08)
+    dense = smooth(flown(candidate.filter(drive, store="fixes", node_every=0.04), drive, candidate))
+    at = np.searchsorted(dense.t, track.t - 1e-9)
+    np.testing.assert_allclose(dense.t[at], track.t, atol=1e-9)
+    away = earth.position_difference(track.nav[:, :3], dense.nav[at, :3])
+    turn = rotation.quaternion_product(track.nav[:, 6:10], rotation.quaternion_conjugate(dense.nav[at, 6:10]))
+    off = np.hstack([away, track.nav[:, 3:6] - dense.nav[at, 3:6], rotation.vector_from_quaternion(turn)])
+    off = np.abs(off) / track.sigma[:, :9]
+    assert np.quantile(off, 0.99) < 0.15 and off.max() < 1.0
+    # variances are convex between two fixes: a straight line states a little more
+    ratio = track.sigma[:, :9] / dense.sigma[at, :9]
+    assert 0.97 < ratio.min() and ratio.max() < 1.1
+    write(replace(solution, track=track), tmp_path)
+    way = way_of_solution(tmp_path)
+    np.testing.assert_array_equal(way.t, track.t)
+    np.testing.assert_array_equal(way.sigma, track.sigma[:, :3])
+    with pytest.raises(InputError, match="rate: is 100 Hz, expected a rate up to the 25 Hz of the IMU"):
+        Track.of(candidate, drive, 100.0)
 
 
 def test_an_outage_is_what_a_filter_without_fixes_does(solution: Solution) -> None:
@@ -339,9 +366,19 @@ def test_an_axis_that_is_shaken_more_is_found(recording: Recording) -> None:
     drive = prepared(late).started()
     own = adapted(next(c for c in candidates() if c.name == "consumer MEMS"), drive)
     each = adapted(own, drive, by_axis=True)
-    N = {a: each.belief[a].processes[0].parameters["N"] for a in ("gyro_x", "gyro_y", "gyro_z")}
-    assert 0.1 < np.degrees(N["gyro_y"]) < 0.4
-    assert N["gyro_y"] > 2.0 * max(N["gyro_x"], N["gyro_z"])
+    value = likelihood_of(drive)
+
+    def worse(axis: str, density: float) -> float:
+        """By how much twice the log-likelihood falls where an axis has another white noise, (deg/s)/sqrt(Hz)."""
+        white, *rest = each.belief[axis]
+        assert isinstance(white, WN)
+        believed = each.belief | {axis: NoiseModel((WN(N=np.deg2rad(density)), *rest))}
+        return 2.0 * (value(each) - value(replace(each, belief=believed)))
+
+    # how much another axis has, the record tells within a factor of ten: its truth is not refused, that of the shaken one is told
+    limit = stats.chi2.isf(1e-3, 1)
+    assert worse("gyro_y", 0.2) < limit < worse("gyro_y", 0.02)
+    assert max(worse("gyro_x", 0.02), worse("gyro_z", 0.02)) < limit
     assert min(each.position, each.velocity) >= 1.0
     assert each.about.count("likelihood") == 1 and "gyro_y white noise" in each.about
 

@@ -128,6 +128,14 @@ def _as_equation(t: Trial) -> bool:
     return bool(t.steps) and t.steps[0].effect == "expression"
 
 
+def _strange(t: Trial) -> bool:
+    return _unexplained(t) or _as_equation(t)
+
+
+def _misnamed(t: Trial) -> bool:
+    return t.verdict == "named" and not _as_equation(t)
+
+
 def _first_right(t: Trial) -> bool:
     s = t.steps[0]
     return same(t.hidden[0], s.effect, s.sensor, s.axes)
@@ -220,8 +228,8 @@ DEFINITIONS = (
     Definition(
         "beside_in_class", "several hidden, each worth 20 nats beside the others: the same, classes counted", _share(_beside, _all_in_classes)
     ),
-    Definition("misnamed_outside", "outside the catalogue: misnamed", _share(_outside, lambda t: t.verdict == "named" and not _as_equation(t)), "fewer"),
-    Definition("outside_unexplained", "outside the catalogue: an equation, or unexplained", _share(_outside, lambda t: _unexplained(t) or _as_equation(t))),
+    Definition("misnamed_outside", "outside the catalogue: misnamed", _share(_outside, _misnamed), "fewer"),
+    Definition("outside_unexplained", "outside the catalogue: an equation, or unexplained", _share(_outside, _strange)),
     Definition(
         "gap_contains_one", "named right: gap index after contains 1",
         _share(_right_and_held_out, lambda t: t.gap_after[1] <= 1.0 <= t.gap_after[2]),

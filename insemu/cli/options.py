@@ -46,6 +46,7 @@ OPTIONS: dict[str, tuple[str, str]] = {
     "--gnss-map": ("MAP", "The same for the file of --gnss."),
     "--truth-map": ("MAP", "The same for the file of --truth."),
     "--rate": ("'100 Hz'", "Sampling rate of a log that does not say it."),
+    "--trajectory-rate": ("'10 Hz'", "Rate of the trajectory that is written; default 1 Hz."),
     "--span": ("FIRST LAST", "A part of it: first and last time."),
     "--name": ("NAME", "Name in the file; default that of the recording."),
     "--skip": ("'40 min'", "Leave out the start of the record, such as the warm-up."),

@@ -24,6 +24,7 @@ def command(
     designs: str = option("--designs", "", "Try these designs too, separated by commas (insemu designs)."),
     lever_arm: str = option("--lever-arm", ""),
     against: str = option("--against", ""),
+    trajectory_rate: str = option("--trajectory-rate", ""),
     out: str = option("--output", "", "Folder for the results; default results/solve_NAME."),
     workers: int | None = option("--workers", None),
     as_json: bool = option("--json", False),
@@ -39,7 +40,7 @@ def command(
 
     from rich.console import Console
 
-    from insemu import formats, intake
+    from insemu import formats, intake, units
     from insemu.cli.announce import show_brief
     from insemu.cli.printing import staged
     from insemu.evaluate import only_writer
@@ -63,7 +64,8 @@ def command(
             found.recording(),
             card,
             beliefs,
-            lever_arm=arm or (0.0, 0.0, 0.0),
+            lever_arm=arm,
+            rate=units.parse(trajectory_rate, "Hz") if trajectory_rate else None,
             workers=threads,
             say=say,
         )

@@ -40,7 +40,7 @@ from insemu.effects.gnss import LONGEST_ARM, filter_memory
 from insemu.effects.hiding import DriveLot, Hidden, RestLot
 from insemu.effects.motion import MOTION_HZ, Column, FixGeometry, Motion, first_axis, on_axes, steady
 from insemu.effects.parameters import CELLS, CROSS, EffectParameter, Join
-from insemu.effects.terms import Signals
+from insemu.effects.terms import Signals, equation
 
 EFFECTS.update(
     {
@@ -139,6 +139,7 @@ __all__ = [
     "columns_without",
     "compensated",
     "effect_of",
+    "equation",
     "filter_memory",
     "first_axis",
     "having",

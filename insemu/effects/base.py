@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import units
-from insemu.effects.parameters import EffectParameter, Join
+from insemu.effects.parameters import EffectParameter, Join, checked_numbers
 from insemu.errors import InputError, nearest, shown
 from insemu.noise import Process
 
@@ -163,9 +163,24 @@ class Effect:
             f"effect '{self.id}' has no parameter '{name}'" + nearest(str(name), [p.name for p in self.parameters])
         )
 
-    def unit(self, parameter: str, sensor: str) -> str:
-        """SI unit of a parameter for a sensor."""
+    def unit(self, parameter: str, sensor: str, equation: str = "") -> str:
+        """SI unit of a parameter for a sensor.
+
+        Parameters
+        ----------
+        parameter, sensor : str
+        equation : str
+            Of an effect that is one.
+        """
         return self.parameter(parameter).unit.replace("{s}", SIGNAL_UNITS.get(sensor, ""))
+
+    def written(self, equation: str, sensor: str) -> str:
+        """The equation of an effect that is one as it is written; empty of the others, which have none."""
+        if equation:
+            raise InputError(
+                f"effect '{self.id}' has the key 'equation', expected it of 'expression' and 'expression_step'"
+            )
+        return ""
 
     def scale(self, parameter: str, sensor: str) -> float:
         """Datasheet magnitude of a parameter for a sensor, SI."""
@@ -477,11 +492,11 @@ class EffectUse:
     def __post_init__(self) -> None:
         effect = effect_of(self.id)
         _check_sensor(effect, self.sensor)
-        object.__setattr__(self, "equation", _equation(effect, self.equation, self.sensor))
+        object.__setattr__(self, "equation", effect.written(self.equation, self.sensor))
         for name in self.values:
             effect.parameter(name)
         object.__setattr__(
-            self, "values", {p.name: _numbers(effect, p, self.values.get(p.name)) for p in effect.parameters}
+            self, "values", {p.name: checked_numbers(effect.id, p, self.values.get(p.name)) for p in effect.parameters}
         )
 
     @property
@@ -524,12 +539,11 @@ class EffectUse:
             sensor = effect.sensors[0]
         _check_sensor(effect, sensor)
         axes = given.pop("axes", None)
-        equation = _equation(effect, given.pop("equation", ""), sensor)
-        unit = _unit_of(equation, sensor)
+        equation = effect.written(given.pop("equation", ""), sensor)
         values: dict[str, tuple[float, ...]] = {}
         for name, quantity in given.items():
             p = effect.parameter(name)
-            own = unit if equation and p.name == "value" else effect.unit(p.name, sensor)
+            own = effect.unit(p.name, sensor, equation)
             numbers = _parsed(effect, p, quantity, own)
             if axes is not None and p.size == 3 and len(numbers) == 1:
                 chosen = list(axes) if isinstance(axes, list | tuple) else [axes]
@@ -557,31 +571,6 @@ def _check_sensor(effect: Effect, sensor: Any) -> None:
         )
 
 
-def _equation(effect: Effect, given: Any, sensor: str) -> str:
-    """The equation of an effect that is one, as it is written; empty of the others."""
-    from insemu.effects.terms import equation
-
-    if "equation" not in effect.traits:
-        if given:
-            raise InputError(
-                f"effect '{effect.id}' has the key 'equation', expected it of the effects 'expression' and 'expression_step' alone"
-            )
-        return ""
-    if not isinstance(given, str) or not given:
-        raise InputError(f"effect '{effect.id}' needs the key 'equation', such as 'east = speed'; found {shown(given)}")
-    try:
-        return equation(given, sensor).text
-    except InputError as error:
-        raise InputError(f"effect '{effect.id}', 'equation': {error.message}") from None
-
-
-def _unit_of(text: str, sensor: str) -> str:
-    """Unit of the coefficient of an equation, SI."""
-    from insemu.effects.terms import equation
-
-    return equation(text, sensor).unit if text else ""
-
-
 def _parsed(effect: Effect, p: EffectParameter, quantity: Any, unit: str) -> tuple[float, ...]:
     """Quantities as a file has them, in SI."""
     items: Sequence[Any] = quantity if isinstance(quantity, list | tuple) else [quantity]
@@ -600,37 +589,6 @@ def _parsed(effect: Effect, p: EffectParameter, quantity: Any, unit: str) -> tup
                 f"effect '{effect.id}', '{p.name}': found {shown(item)}, expected a finite number"
             ) from None
     return tuple(numbers)
-
-
-def _numbers(effect: Effect, p: EffectParameter, given: Any) -> tuple[float, ...]:
-    """All numbers of a parameter, checked."""
-    where = f"effect '{effect.id}', '{p.name}'"
-    if given is None:
-        if p.default is None:
-            raise InputError(f"effect '{effect.id}' misses its parameter '{p.name}' ({p.meaning})")
-        given = (p.default,)
-    try:
-        numbers = tuple(float(x) for x in ((given,) if isinstance(given, int | float) else given))
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{where}: found {shown(given)}, expected {_count(p.size)} number(s)") from None
-    if len(numbers) == 1 and p.size in (3, 9):
-        numbers *= 3
-    if len(numbers) == 3 and p.size == 9:
-        a, b, c = numbers
-        numbers = (a, 0.0, 0.0, 0.0, b, 0.0, 0.0, 0.0, c)
-    if len(numbers) != p.size:
-        raise InputError(f"{where}: found {len(numbers)} value(s), expected {_count(p.size)}")
-    if not all(math.isfinite(x) for x in numbers):
-        raise InputError(f"{where}: found a value that is not finite")
-    if p.positive and min(numbers) < 0:
-        raise InputError(f"{where}: found {min(numbers):g}, expected zero or more")
-    if p.most is not None and max(abs(x) for x in numbers) > p.most:
-        raise InputError(f"{where}: found {max(numbers, key=abs):g}, expected at most {p.most:g}")
-    return numbers
-
-
-def _count(size: int) -> str:
-    return {1: "one", 3: "one or three", 6: "six (xy, xz, yx, yz, zx, zy)", 9: "nine (or three, the diagonal)"}[size]
 
 
 def effect_of(effect_id: Any) -> Effect:

@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import earth, rotation
+from insemu.effects import terms
 from insemu.effects.base import NED, XYZ, Effect, EffectUse, Stage, Subset
 from insemu.effects.chain import Chain, FixErrors
 from insemu.effects.motion import AntennaMotion, Column, FixGeometry, Motion, first_axis
 from insemu.effects.parameters import EffectParameter
 from insemu.effects.terms import TARGETS, Equation, Signals, equation
+from insemu.errors import InputError, shown
 from insemu.records import GnssRecord, Trajectory
 
 Array = NDArray[np.float64]
@@ -57,6 +59,23 @@ class _Equation(Effect):
     axes, traits = (), frozenset({"equation"})
     stage, size = Stage.LAW, "value"
 
+    def unit(self, parameter: str, sensor: str, equation: str = "") -> str:
+        """That of the coefficient follows from the equation."""
+        if equation and parameter == "value":
+            return terms.equation(equation, sensor).unit
+        return super().unit(parameter, sensor)
+
+    def written(self, equation: str, sensor: str) -> str:
+        """In the form of the grammar; ``InputError`` where it is none."""
+        if not isinstance(equation, str) or not equation:
+            raise InputError(
+                f"effect '{self.id}' needs the key 'equation', such as 'east = speed'; found {shown(equation)}"
+            )
+        try:
+            return terms.equation(equation, sensor).text
+        except InputError as error:
+            raise InputError(f"effect '{self.id}', 'equation': {error.message}") from None
+
     def error(self, use: EffectUse, signals: Signals) -> Array:
         """The error (n,) on its target."""
         return use.scalar("value") * equation(use.equation, use.sensor).of(signals)
@@ -66,8 +85,9 @@ class _Equation(Effect):
         r, e = chain.reference, equation(use.equation, use.sensor)
         if not e.names <= {*_ALONE, *_RATES, *_FORCES}:
             r = chain.need_reference(use)
-        moving = (None, None) if r is None else (r.vel_ned, r.rpy)
-        signals = Signals(chain.t, *moving, chain.signal[:3].T, chain.signal[3:].T, chain.temperature)
+        signals = Signals(chain.t, None, None, chain.signal[:3].T, chain.signal[3:].T, chain.temperature)
+        if r is not None:
+            signals = replace(signals, velocity=r.vel_ned, rpy=r.rpy)
         chain.rows(use.sensor)[XYZ.index(e.target)] += self.error(use, signals)
 
     def inject_fixes(self, fixes: FixErrors, use: EffectUse, rng: np.random.Generator) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
+
+from insemu.errors import InputError, shown
 
 #: How the numbers of two finds of one effect become one number; "" where the two stay two entries.
 Join = Literal["", "sum", "product", "root_sum_square", "larger", "smaller", "later", "equal"]
@@ -59,3 +62,48 @@ class EffectParameter:
         """Names of its numbers, as findings have them: ``value_x``, ``value_xy``, ``tau``; ``axes`` are the effect's."""
         names = {3: tuple(axes), 6: CROSS, 9: CELLS}.get(self.size, ())
         return tuple(f"{self.name}_{a}" for a in names) or (self.name,)
+
+
+def checked_numbers(effect: str, p: EffectParameter, given: Any) -> tuple[float, ...]:
+    """All numbers of a parameter, as many as it has.
+
+    Parameters
+    ----------
+    effect : str
+        Whose it is, for what is said of it.
+    p : EffectParameter
+    given : number or sequence of numbers, or None
+        None: its default.
+
+    Raises
+    ------
+    InputError
+        A number that is missing, not finite, negative where it must not be, or implausible; another count.
+    """
+    where = f"effect '{effect}', '{p.name}'"
+    if given is None:
+        if p.default is None:
+            raise InputError(f"effect '{effect}' misses its parameter '{p.name}' ({p.meaning})")
+        given = (p.default,)
+    try:
+        numbers = tuple(float(x) for x in ((given,) if isinstance(given, int | float) else given))
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{where}: found {shown(given)}, expected {_count(p.size)} number(s)") from None
+    if len(numbers) == 1 and p.size in (3, 9):
+        numbers *= 3
+    if len(numbers) == 3 and p.size == 9:
+        a, b, c = numbers
+        numbers = (a, 0.0, 0.0, 0.0, b, 0.0, 0.0, 0.0, c)
+    if len(numbers) != p.size:
+        raise InputError(f"{where}: found {len(numbers)} value(s), expected {_count(p.size)}")
+    if not all(math.isfinite(x) for x in numbers):
+        raise InputError(f"{where}: found a value that is not finite")
+    if p.positive and min(numbers) < 0:
+        raise InputError(f"{where}: found {min(numbers):g}, expected zero or more")
+    if p.most is not None and max(abs(x) for x in numbers) > p.most:
+        raise InputError(f"{where}: found {max(numbers, key=abs):g}, expected at most {p.most:g}")
+    return numbers
+
+
+def _count(size: int) -> str:
+    return {1: "one", 3: "one or three", 6: "six (xy, xz, yx, yz, zx, zy)", 9: "nine (or three, the diagonal)"}[size]

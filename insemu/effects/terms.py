@@ -224,8 +224,8 @@ def _checked(node: ast.expr, text: str) -> Dimension | None:
         case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if (
             name in _OF_TIME and len(args) == _OF_TIME[name]
         ):
-            for a in args:
-                _number(a, text)
+            for argument in args:
+                _number(argument, text)
             return _NONE
         case ast.Call(func=ast.Name(id=name), args=[first, *more], keywords=[]) if len(more) == _FUNCTIONS.get(name):
             own = _checked(first, text)
@@ -244,7 +244,7 @@ def _value(node: Any, signals: Signals) -> Any:
     """A checked part of a term on signals: (n,) or a number."""
     match node:
         case ast.Constant(value=value):
-            return float(value)
+            return value
         case ast.Name(id=name):
             return signals[name]
         case ast.UnaryOp(operand=operand):

@@ -31,7 +31,7 @@ from insemu.filters.protocol import (
 )
 from insemu.filters.rest import never_moves, rests
 from insemu.filters.results import FilterResult, FixTable, Nodes, log_density
-from insemu.filters.smoothed import cross_covariance, smoothed_at
+from insemu.filters.smoothed import cross_covariance, sigma_at, smoothed_at
 from insemu.filters.smoother import SmootherResult, smooth
 from insemu.filters.start import start
 from insemu.filters.twin import Carried, Intervals, LinearErrors, carried, driven, transitions
@@ -83,6 +83,7 @@ __all__ = [
     "register_filter",
     "rests",
     "run_filter",
+    "sigma_at",
     "sigma_of_fixes",
     "smooth",
     "smoothed_at",

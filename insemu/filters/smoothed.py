@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 def smoothed_at(result: FilterResult, smoothed: SmootherResult, rows: NDArray[np.int64]) -> Array:
-    """Smoothed navigation states (m, 10) at epochs of a run that stored every one of them.
+    """Smoothed navigation states (m, 10) at epochs that a run stored.
 
     Between two nodes the filter predicts; what the smoother would take off at the first and at the second is taken off in proportion to time.
 
@@ -28,7 +28,7 @@ def smoothed_at(result: FilterResult, smoothed: SmootherResult, rows: NDArray[np
     smoothed : SmootherResult
         Of that run.
     rows : (m,) array of int
-        Epochs between the first and the last node.
+        Rows of the result between the first and the last node.
 
     Raises
     ------
@@ -46,15 +46,35 @@ def smoothed_at(result: FilterResult, smoothed: SmootherResult, rows: NDArray[np
         ]
     )
     before = error + nodes.correction[:, :9]
-    after = np.clip(np.searchsorted(nodes.epoch, rows, side="left"), 1, len(nodes) - 1)
-    first, last = nodes.t[after - 1], nodes.t[after]
-    share = np.clip((result.t[rows] - first) / (last - first), 0.0, 1.0)[:, None]
+    t = result.t[rows]
+    after, share = _between(nodes.t, t)
     left = (1.0 - share) * error[after - 1] + share * before[after]
-    updated = rows == nodes.epoch[after]
+    updated = t == nodes.t[after]
     left[updated] = error[after[updated]]
     nav = result.nav[rows].copy()
     _corrected(nav, left)
     return nav
+
+
+def _between(nodes: Array, t: Array) -> tuple[NDArray[np.intp], Array]:
+    """The node after each time (m,), at the earliest the second, and which share (m, 1) of the time from the one before has gone."""
+    after = np.clip(np.searchsorted(nodes, t, side="left"), 1, nodes.size - 1)
+    first, last = nodes[after - 1], nodes[after]
+    return after, np.clip((t - first) / (last - first), 0.0, 1.0)[:, None]
+
+
+def sigma_at(smoothed: SmootherResult, t: Array) -> Array:
+    """Standard deviations (m, n) of all states at times between the nodes, whose variances are taken in proportion to time.
+
+    Parameters
+    ----------
+    smoothed : SmootherResult
+    t : (m,) array
+        s.
+    """
+    after, share = _between(smoothed.t, t)
+    variance = smoothed.sigma**2
+    return np.asarray(np.sqrt((1.0 - share) * variance[after - 1] + share * variance[after]))
 
 
 @njit(cache=True, nogil=True)

@@ -290,15 +290,14 @@ def worth_in_motion(
     ends: list[float] = []
     waiting = list(np.arange(t[0] + OUTAGE_S, t[-1], APART_S) if starts is None else starts)
     for k in range(1, t.size):
-        flying = [(end, nodes.Phi[k] @ x) for end, x in flying]
+        ends += [float(x[0] ** 2 + x[1] ** 2) for end, x in flying if t[k] > end]
+        flying = [(end, nodes.Phi[k] @ x) for end, x in flying if t[k] <= end]
         e = nodes.Phi[k] @ e
         for x in (e, *(x for _, x in flying)):
             x[:9] += drive[k]
-        ends += [float(x[0] ** 2 + x[1] ** 2) for end, x in flying if t[k] >= end]
-        flying = [(end, x) for end, x in flying if t[k] < end]
         for j in at.get(k, ()):
             e = e + K[j] @ np.where(loop.use[j], error[j] - H[j] @ e, 0.0)
-        if waiting and t[k] >= waiting[0]:
+        if waiting and t[min(k + 1, t.size - 1)] > waiting[0]:
             flying.append((waiting.pop(0) + OUTAGE_S, e.copy()))
     return math.sqrt(sum(ends) / len(ends)) if ends else math.nan
 

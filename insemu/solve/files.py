@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ from insemu.solve.against import Comparison
 from insemu.solve.outages import Outages
 from insemu.solve.solution import Solution
 from insemu.stamps import Origin
+from insemu.strapdown import trajectory_of
 from insemu.whole import replacing
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def dataset(solution: Solution) -> xr.Dataset:
     filtered = np.sqrt(np.maximum(np.einsum("kii->ki", nodes.P_after), 0.0))
     o = solution.taken.outages
     red = [(start, start + seconds) for start, seconds, _ in worst_outages(o, COLOURED)]
-    return xr.Dataset(
+    found = xr.Dataset(
         {
             "llh": (("t", "axis"), s.nav[:, :3], {"unit": "rad, rad, m"}),
             "vel_ned": (("t", "axis"), s.nav[:, 3:6], {"unit": "m/s"}),
@@ -112,6 +113,14 @@ def dataset(solution: Solution) -> xr.Dataset:
             "origin_clock": solution.drive.origin.clock,
         },
     )
+    if (track := solution.track) is not None:  # at a rate of its own
+        found = found.assign_coords(track_t=track.t).assign(
+            track_llh=(("track_t", "axis"), track.nav[:, :3], {"unit": "rad, rad, m"}),
+            track_vel_ned=(("track_t", "axis"), track.nav[:, 3:6], {"unit": "m/s"}),
+            track_rpy=(("track_t", "axis"), rpy(track.nav[:, 6:10]), {"unit": "rad"}),
+            track_sigma=(("track_t", "state"), track.sigma),
+        )
+    return found
 
 
 def way_of_solution(folder: Path) -> Way:
@@ -127,7 +136,8 @@ def way_of_solution(folder: Path) -> Way:
     import xarray as xr
 
     with xr.open_dataset(folder / SOLUTION, engine="h5netcdf") as held:
-        of = {name: np.asarray(held[name].values, dtype=np.float64) for name in ("t", "llh", "vel_ned", "rpy", "sigma")}
+        at_rate, names = "track_" * ("track_t" in held.coords), ("t", "llh", "vel_ned", "rpy", "sigma")
+        of = {name: np.asarray(held[at_rate + name].values, dtype=np.float64) for name in names}
         spans = [(float(a), float(b)) for a, b in held["worst_outages"].values]
         name = Path(str(held.attrs["source"]).split(",")[0]).stem
         origin = Origin(int(held.attrs["origin_ns"]), str(held.attrs["origin_clock"]))
@@ -167,7 +177,7 @@ def write(solution: Solution, folder: Path) -> list[Path]:
         Made where it does not exist.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    d, s = solution.drive, solution.smoothed
+    d = solution.drive
     out: list[Path] = []
     with replacing(folder / SOLUTION) as partial:
         dataset(solution).to_netcdf(partial, engine="h5netcdf")
@@ -177,7 +187,8 @@ def write(solution: Solution, folder: Path) -> list[Path]:
     out += [write_way(way, folder / f"trajectory{end}") for end in (".csv", ".tum", *dated)]
     # on the clock of the fixes, so that the solution, the fixes and the IMU agree
     done = Preparation(d.clock, d.measured, d.said)
-    way_solved = replace(s.trajectory, name="solution")
+    track = solution.track or solution.smoothed
+    way_solved = trajectory_of(track.t, track.nav, "solution")
     solved = Recording(d.imu, d.gnss, way_solved, d.source, d.aids, origin=d.origin, preparation=done)
     out.append(formats.write(folder / "solved.npz", solved))
     noise.save(dict(solution.taken.candidate.belief), folder / "models.yaml")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from insemu import rotation
 from insemu.errors import InputError
 from insemu.evaluate import Verdict, lag_products, nis_test, whiteness_verdicts
-from insemu.filters import FilterResult, LooselyCoupledEKF, SmootherResult, smooth
+from insemu.filters import FilterResult, LooselyCoupledEKF, SmootherResult, sigma_at, smooth, smoothed_at
 from insemu.intake import Card
 from insemu.noise import WN
 from insemu.records import AXES, Recording
@@ -131,6 +131,45 @@ class Mounting:
     spread: float
 
 
+@dataclass(frozen=True)
+class Track:
+    """A smoothed trajectory at epochs of the IMU.
+
+    Parameters
+    ----------
+    t : (m,) array
+        s.
+    nav : (m, 10) array
+        Latitude, longitude, height, velocity, quaternion.
+    sigma : (m, n) array
+        Standard deviations of all states.
+    """
+
+    t: Array
+    nav: Array
+    sigma: Array
+
+    @classmethod
+    def of(cls, candidate: Candidate, drive: Drive, rate: float) -> Track:
+        """The way of a candidate at about so many epochs per second, the nearest that divides the rate of the IMU.
+
+        Raises
+        ------
+        InputError
+            A rate that is not positive, or beyond the IMU's.
+        """
+        if not 0.0 < rate <= 1.01 / drive.imu.dt:
+            raise InputError(
+                f"is {rate:g} Hz, expected a rate up to the {1.0 / drive.imu.dt:.6g} Hz of the IMU", where="rate"
+            )
+        every = max(1, round(1.0 / (rate * drive.imu.dt)))
+        run = flown(candidate.filter(drive, store="fixes", node_every=1.0, output_every=every), drive, candidate)
+        smoothed = smooth(run)
+        rows = np.flatnonzero((run.t >= smoothed.t[0]) & (run.t <= smoothed.t[-1]))
+        t = run.t[rows]
+        return cls(t, smoothed_at(run, smoothed, rows), sigma_at(smoothed, t))
+
+
 @dataclass(frozen=True, repr=False)
 class Solution(Shown):
     """A solved recording.
@@ -151,6 +190,8 @@ class Solution(Shown):
         By how much the stamps of the IMU are late against those of the fixes, and its standard deviation, s.
     gaps : tuple of Gap
         Times without fixes in the recording itself.
+    track : Track, optional
+        The smoothed trajectory at another rate than that of the nodes, where it was asked for.
     """
 
     drive: Drive
@@ -162,6 +203,7 @@ class Solution(Shown):
     mounting: Mounting | None
     clock: tuple[float, float]
     gaps: tuple[Gap, ...] = ()
+    track: Track | None = None
 
     def __str__(self) -> str:
         d, late = self.drive, self.clock
@@ -233,7 +275,8 @@ def solve(
     card: Card,
     beliefs: Sequence[Candidate],
     *,
-    lever_arm: Sequence[float] = (0.0, 0.0, 0.0),
+    lever_arm: Sequence[float] | None = None,
+    rate: float | None = None,
     workers: int = 1,
     say: Say = lambda text: None,
 ) -> Solution:
@@ -246,8 +289,10 @@ def solve(
         Its intake card.
     beliefs : sequence of Candidate
         What is tried; see :func:`insemu.solve.beliefs.candidates`.
-    lever_arm : (3,) sequence of float
+    lever_arm : (3,) sequence of float, optional
         IMU to antenna in the axes of the recording, m.
+    rate : float, optional
+        Of the trajectory, Hz; that of the nodes, one a second, where it is not given.
     workers : int
         Threads for the outages.
     say : callable
@@ -258,7 +303,7 @@ def solve(
     InputError
         No fixes, no way to start, too little data after it, or no design with which the filter runs.
     """
-    drive = prepared(recording, lever_arm)
+    drive = prepared(recording, (0.0, 0.0, 0.0) if lever_arm is None else lever_arm)
     say("start")
     drive = drive.started(card)
     begins, ends, needed = drive.aligned.t, float(drive.imu.t[-1]), SETTLED_S + HORIZONS[0]
@@ -314,7 +359,8 @@ def solve(
     late, sigma = clock_offset(taken.candidate, drive)
     clock = (drive.clock + late, sigma)
     verdicts, gaps = verdicts_of(taken.run), tuple(gaps_of(taken.run))
-    return Solution(drive, card, tuple(tried), taken, smoothed, verdicts, mounting_of(smoothed), clock, gaps)
+    track = None if rate is None else Track.of(taken.candidate, drive, rate)
+    return Solution(drive, card, tuple(tried), taken, smoothed, verdicts, mounting_of(smoothed), clock, gaps, track)
 
 
 def without_outliers(drive: Drive, base: Candidate, own: Candidate) -> tuple[Drive, Candidate]:

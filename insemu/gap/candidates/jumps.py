@@ -186,13 +186,13 @@ def changed_term(beside: Unexplained) -> list[DriveHypothesis]:
     v = np.zeros((fixes.size, vectors.shape[1]))
     v[rows] = vectors
     count = int(rows[-1]) // 6 + 1 if rows.size else 0
-    squares, products = scanned(scene.loop, scene.changing_built, v.reshape(*fixes.shape, -1), count)
+    squares, products = scanned(scene.loop, scene.changing.built, v.reshape(*fixes.shape, -1), count)
     # inputs up to a node begin at the node before; from the first on they are there throughout
     squares, products, start, width = squares[2:], products[2:], t[1:-1], np.diff(t)[1:]
     half = products[:, :, 1:] @ beside.inverse.T / data.variance
     a = np.maximum(squares / data.variance - np.einsum("ncq,ncq->nc", half, half), 1e-12)
     b = products[:, :, 0] / data.variance
-    out, columns = [], scene.changing
+    out, columns = [], scene.changing.columns
     for sensor in dict.fromkeys(c.sensor for c in columns):
         own = [j for j, c in enumerate(columns) if c.sensor == sensor]
         weighed = [sized(a[:, j], b[:, j], columns[j].scale, sizes("expression_step")) for j in own]

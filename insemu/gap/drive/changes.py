@@ -7,40 +7,64 @@ the square of all that a state ``e`` and the later inputs make.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.effects import EFFECTS, Column, Motion, first_axis
-from insemu.effects.terms import equation
-from insemu.gap.drive.signatures import Loop
+from insemu.effects import EFFECTS, XYZ, Column, Motion, equation, first_axis
+from insemu.gap.drive.signatures import Loop, built_up
 
 Array = NDArray[np.float64]
-#: Signals that an axis may follow from a time on: its own and those of the other two (scale factor, misalignment), and what a gyroscope
-#: follows of the specific force.
-_SIGNALS = {"gyro": ("rate", "force"), "accel": ("force",)}
-_SCALES = {"rate": "scale_factor", "force": "g_sensitivity"}
+#: Sensor, the signals of all axes that each of its axes may follow from a time on, and the effect whose usual size that has.
+_FOLLOWED = (("gyro", "rate", "scale_factor"), ("gyro", "force", "g_sensitivity"), ("accel", "force", "scale_factor"))
 
 
-def changing_terms(motion: Motion) -> list[Column]:
-    """Unit columns of errors that an axis follows a signal by, as equations.
+@dataclass(frozen=True)
+class Changing:
+    """Errors that an axis follows a signal by.
 
     Parameters
     ----------
-    motion : Motion
+    columns : tuple of Column
+        Unit errors, as equations.
+    built : (nodes, c, 9) array
+        Navigation errors that they build up since the node before.
     """
-    out = []
-    for sensor, kinds in _SIGNALS.items():
-        for axis in range(3):
-            for kind in kinds:
-                own = kind == "rate" or sensor == "accel"
-                scale = EFFECTS["scale_factor" if own else _SCALES[kind]].scale("value", sensor)
-                for j, other in enumerate("xyz"):
+
+    columns: tuple[Column, ...]
+    built: Array
+
+    @classmethod
+    def of(cls, loop: Loop, motion: Motion) -> Changing:
+        """Along a motion."""
+        out = []
+        for sensor, kind, effect in _FOLLOWED:
+            scale = EFFECTS[effect].scale("value", sensor)
+            for k in range(3):
+                for j, other in enumerate(XYZ):
+                    text = f"{XYZ[k]} = {kind}_{other}"
                     u = np.ascontiguousarray((motion.rate if kind == "rate" else motion.force)[:, j])
-                    text = f"{'xyz'[axis]} = {kind}_{other}"
+                    inputs = ((first_axis(sensor) + k, u),)
                     unit = equation(text, sensor).unit
-                    inputs = ((first_axis(sensor) + axis, u),)
                     out.append(Column("expression_step", sensor, "value", (text,), scale, unit, inputs))
-    return out
+        return cls(tuple(out), built_up(loop, motion, out)[0])
+
+    def column(self, k: int, t: Array, start: float, end: float) -> Column:
+        """One of them between two times.
+
+        Parameters
+        ----------
+        k : int
+            Which of the columns.
+        t : (n,) array
+            Of the motion, s.
+        start, end : float
+            s.
+        """
+        inside = (t > start) & (t <= end)
+        c = self.columns[k]
+        return replace(c, inputs=tuple((axis, u * inside) for axis, u in c.inputs))
 
 
 def scanned(loop: Loop, D: Array, v: Array, count: int) -> tuple[Array, Array]:

@@ -14,19 +14,11 @@ from numpy.typing import NDArray
 from insemu.effects import EFFECTS, Column, FixGeometry, Motion, catalogue_columns
 from insemu.errors import InputError
 from insemu.gap.drive.apart import without
-from insemu.gap.drive.changes import changing_terms
+from insemu.gap.drive.changes import Changing
 from insemu.gap.drive.columns import filled_columns, rectified_columns
 from insemu.gap.drive.corrected import corrected_data, slow_knots
 from insemu.gap.drive.preparation import Prepared, fitted_levels
-from insemu.gap.drive.signatures import (
-    Loop,
-    bias_steps,
-    built_up,
-    columns_response,
-    fix_step_response,
-    knot_response,
-    ramps,
-)
+from insemu.gap.drive.signatures import Loop, bias_steps, columns_response, fix_step_response, knot_response, ramps
 from insemu.gap.drive.sizes import SIZE_REL, has_size, known_size, likeliest_size, slope_about, smoothing
 from insemu.gap.evidence.linear import Block, Field
 from insemu.gap.evidence.surrogate import FixNoise, Gains, Surrogate
@@ -49,7 +41,7 @@ SHARES, BENT = (1.0, 0.3), 0.25
 #: Starts of steps in the fixes that are tried first, and of changes of the lever arm.
 STARTS, ARM_STARTS = 120, 40
 #: What a scene knows that other noise of the fixes leaves as it is, and what more steps in the fixes do.
-_RESPONSES = ("_answers", "_ramps", "steps_raw", "_arms_raw", "changing", "changing_built")
+_RESPONSES = ("_answers", "_ramps", "steps_raw", "_arms_raw", "changing")
 _WHITENED = ("_plain", "full_y", "step_columns", "arm_columns", "_gains")
 
 
@@ -105,8 +97,7 @@ class Scene:
 
         The catalogue's columns of another scene, ``known``, say what corrections are of.
         """
-        motion = prepared.motion
-        loop = Loop.of(prepared.result)
+        motion, loop = prepared.motion, Loop.of(prepared.result)
         t_fix = prepared.result.fixes.t
         fixes = FixGeometry.of(motion, t_fix, prepared.lever_arm, prepared.nominal.mounting)
         if (tau := smoothing(prepared.nominal, known, corrections or {})).any():
@@ -207,22 +198,15 @@ class Scene:
         return self.whitened(fix_step_response(self.loop, self.arm_fixes(axis)[None], starts))
 
     @cached_property
-    def changing(self) -> list[Column]:
+    def changing(self) -> Changing:
         """Errors that follow a signal, which may begin at a time."""
-        return changing_terms(self.motion)
-
-    @cached_property
-    def changing_built(self) -> Array:
-        """What each of these builds up between the nodes, (nodes, c, 9)."""
-        return built_up(self.loop, self.motion, self.changing)[0]
+        return Changing.of(self.loop, self.motion)
 
     def window_column(self, window: Window) -> Column:
         """A step that was found of the fixes, of the lever arm or of what follows a signal, as a column."""
         (place, start, end), t = window, self.loop.result.fixes.t
         if place >= TERMS:
-            c = self.changing[place - TERMS]
-            inside = (self.motion.t > start) & (self.motion.t <= end)
-            return replace(c, inputs=tuple((axis, u * inside) for axis, u in c.inputs))
+            return self.changing.column(place - TERMS, self.motion.t, start, end)
         inside = ((t > start) & (t <= end)).astype(np.float64)
         M = np.zeros((t.size, 6))
         if place < 3:
@@ -254,10 +238,9 @@ class Scene:
                 M[:, :, i] = self.window_column(windows[i]).fixes
                 continue
             D = np.zeros((len(self._ramps), len(windows), 9)) if D is None else D
-            share = bias_steps(self.loop, self.motion, np.array([start])) - bias_steps(
-                self.loop, self.motion, np.array([end])
-            )
-            D[:, i] = share * (self._ramps[:, place - 3] if place < ARMS else self.changing_built[:, place - TERMS])
+            begun, over = (bias_steps(self.loop, self.motion, np.array([at])) for at in (start, end))
+            unit = self._ramps[:, place - 3] if place < ARMS else self.changing.built[:, place - TERMS]
+            D[:, i] = (begun - over) * unit
         return self.loop.respond(len(windows), D, M) if windows else M
 
     def bias_step_columns(self, axis: int, starts: Array) -> Array:
@@ -343,8 +326,6 @@ class Scene:
     def _field(self, G: Array, corrected: Array) -> Field:
         """The field of some columns, what was corrected put back."""
         y = self.full_y.ravel()[self._rows]
-        if not (np.isfinite(y).all() and np.isfinite(G).all()):
-            raise InputError("the nominal filter diverges on this recording", where=self.original.nominal.source)
         spread = float(np.clip((np.median(np.abs(y)) / 0.6745) ** 2, 0.9, 1.1))
         y += corrected @ np.array(list(self.corrections.values()))
         return Field(y, G, spread)

@@ -16,6 +16,7 @@ import numpy as np
 import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
+from insemu.errors import InputError
 from insemu.gap.evidence import kernels
 from insemu.gap.policy import rules
 
@@ -43,6 +44,10 @@ class Field:
     y: Array
     G: Array
     variance: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.y).all():
+            raise InputError("the nominal filter diverges on this recording")
 
     @cached_property
     def A(self) -> Array:

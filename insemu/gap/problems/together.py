@@ -120,7 +120,7 @@ def _window(scene: Scene, finding: Finding) -> Window | None:
     if finding.effect == "lever_arm_step":
         return ARMS + "xyz".index(finding.axes[0]), at["start"], math.inf
     if finding.effect == "expression_step":
-        places = {(c.sensor, c.axes): k for k, c in enumerate(scene.changing)}
+        places = {(c.sensor, c.axes): k for k, c in enumerate(scene.changing.columns)}
         return TERMS + places[finding.sensor, finding.axes], at["start"], math.inf
     return None
 
