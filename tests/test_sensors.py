@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -46,6 +48,9 @@ Calibration temperature range: −10°C to +75°C
         ("RRW 3 deg/h/sqrt(h)", "gyro", "rate_random_walk", 3 * DEG / 3600 / 60),
         ("turn-on bias 0.2 deg/s", "gyro", "turn_on_bias", 0.2 * DEG),
         ("bias repeatability 3 mg (1 sigma)", "accel", "turn_on_bias", 3000 * UG),
+        ("zero-rate offset ±1 deg/s", "gyro", "turn_on_bias", DEG),
+        ("Zero-g level ±20 mg", "accel", "turn_on_bias", 20_000 * UG),
+        ("Initial bias error: ±0.2 °/s", "gyro", "turn_on_bias", 0.2 * DEG),
     ],
 )
 def test_a_figure_is_read_in_the_units_of_datasheets(text: str, sensor: str, kind: str, value: float) -> None:
@@ -188,6 +193,34 @@ def test_every_card_cites_its_figures_and_makes_a_truth_and_a_filter(name: str, 
     assert worst >= typical
 
 
+@pytest.mark.parametrize("name", names())
+def test_the_figures_of_a_card_have_addresses_and_the_sizes_of_inertial_sensors(name: str) -> None:
+    """From a navigation-grade ring laser to a consumer chip: a wrong unit or a lost power of ten is outside."""
+    one = card(name)
+    assert all(source.get("url", "").startswith("https://") for source in one.sources.values())
+    lowest, highest = {"gyro": 5e-4 * DEG / 60, "accel": UG}, {"gyro": 5 * DEG / 60, "accel": 1000 * UG}
+    for axis in AXES:
+        sensor, figures = axis.split("_")[0], one.of_axis(axis)
+        assert all(figure.worst is None or figure.worst >= figure.value for figure in figures.values())
+        white = figures.get("random_walk") or figures["noise_density"]
+        assert lowest[sensor] <= white.value <= highest[sensor]
+        in_run = [figures[kind] for kind in ("bias_coefficient", "bias_sigma", "bias_stability") if kind in figures]
+        start = figures.get("turn_on_bias")
+        limit = {"gyro": 20 * DEG, "accel": 100_000 * UG}[sensor]
+        assert all(figure.value <= limit for figure in [*in_run, *([start] if start else [])])
+        # a bias changes less within a run than from one start to the next; a published model may halve that
+        if start and in_run:
+            assert in_run[0].value <= 2.0 * start.value
+
+
+def test_zero_offsets_of_a_sheet_are_turn_on_biases_axis_by_axis() -> None:
+    """MPU-9250 Product Specification, revision 1.0, pages 8 and 9: ±5 deg/s; ±60 mg on x and y, ±80 mg on z."""
+    found = {axis: one.model.processes[-1] for axis, one in axis_models(card("MPU-9250")).items()}
+    assert {process.symbol for process in found.values()} == {"RC"}
+    shown = [process.parameters["sigma"] for process in found.values()]
+    assert shown == pytest.approx([5 * DEG] * 3 + [60_000 * UG, 60_000 * UG, 80_000 * UG])
+
+
 def test_figures_of_the_adis16470_are_those_of_its_datasheet() -> None:
     gyro, accel = (card("adis-16470").figures[s] for s in ("gyro", "accel"))
     assert gyro["bias_stability"].value == pytest.approx(units.parse("8 deg/h", "rad/s"))
@@ -209,6 +242,9 @@ def test_figures_of_the_adis16470_are_those_of_its_datasheet() -> None:
         ("name: x\ngyro: {random_walk: {typical: 0 deg/sqrt(h)}}", "expected a positive quantity"),
         ("name: x\ngyro: {random_walk: {source: a}}", "expected a quantity or the keys typical"),
         ("name: x\ngyro: {random_walk: {typical: 1 deg/sqrt(h), source: a}}", "unknown source 'a'"),
+        ("name: x\naccel: {random_walk: [1 m/s/sqrt(h), 2 m/s/sqrt(h)]}", "expected one quantity or, under 'gyro'"),
+        ("name: x\naccel_z: {random_walk: {max: [1 m/s/sqrt(h)]}}", "accel_z.random_walk: found .*three .x, y, z"),
+        ("name: x\naccel: {random_walk: [1 m/s/sqrt(h), 2 deg, 1 m/s/sqrt(h)]}", "random_walk.typical: the unit 'deg'"),
         ("name: x\nsources: {a: {url: b}}", "expected a source with the key 'title'"),
         ("name: x\nsources: {a: {title: [b]}}", "expected a source with the key 'title'"),
         (
@@ -228,6 +264,9 @@ def test_the_command_lists_shows_and_writes(tmp_path) -> None:
     listed = runner.invoke(app, ["sensor"])
     assert listed.exit_code == 0
     assert all(name in listed.output for name in names())
+    page = (Path(__file__).parents[1] / "docs" / "howto" / "datasheet_values.md").read_text(encoding="utf-8")
+    stated = re.search(r"(\d+) cards come with insemu", page)
+    assert stated and f"\n{stated[1]} cards\n" in listed.output and int(stated[1]) == len(names())
     shown = runner.invoke(app, ["sensor", "ADIS16470", "--worst-factor", "3", "--band", "1 s", "100 s"])
     assert "WN(N=0.34 deg/sqrt(h)) + BI(B=12.04 deg/h, tau_to=100 s)" in shown.output
     assert "1.02 deg/sqrt(h) assumed" in shown.output

@@ -92,11 +92,12 @@ def _list(console: Console, as_json: bool) -> None:
     for heading in ("sensor", "gyro white", "gyro bias", "accel white", "accel bias"):
         table.add_column(heading, no_wrap=True)
     for one in cards:
-        cells = [_first(one.figures.get(s, {}), k) for s in ("gyro", "accel") for k in (_WHITE, _BIAS)]
+        cells = [_first(one.of_axis(f"{s}_x"), k) for s in ("gyro", "accel") for k in (_WHITE, _BIAS)]
         table.add_row(one.name, *cells)
     _wide(console, table)
     for one in cards:
         console.print(f"{one.name}: {one.about} ({one.maker}).", soft_wrap=True, style="dim", highlight=False)
+    console.print(f"{len(cards)} cards", highlight=False)
 
 
 _WHITE, _BIAS = ("random_walk", "noise_density"), ("bias_coefficient", "bias_sigma", "bias_stability")

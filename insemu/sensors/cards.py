@@ -121,7 +121,8 @@ def _read(document: yamlfile.Document) -> Card:
             where = (section, kind)
             if kind not in KINDS:
                 raise InputError(f"unknown figure '{kind}'" + nearest(kind, KINDS), where=document.where(where))
-            figures.setdefault(section, {})[kind] = _figure(document, where, given, sources)
+            for place, one in _by_axis(document, where, given):
+                figures.setdefault(place, {})[kind] = _figure(document, where, one, sources)
     if not figures:
         raise InputError("holds no figure under 'gyro' or 'accel'", where=document.name)
     about, maker, also = data.get("about", ""), data.get("maker", ""), data.get("also") or []
@@ -135,6 +136,19 @@ def _mapping(document: yamlfile.Document, key: str) -> dict[str, Any]:
     if value is not None and not isinstance(value, dict):
         raise InputError(f"found {value!r}, expected a mapping", where=document.where((key,)))
     return value or {}
+
+
+def _by_axis(document: yamlfile.Document, at: tuple[str, str], given: Any) -> list[tuple[str, Any]]:
+    """What a section gives for a kind: as it stands, or by axis where a quantity is a list (x, y, z)."""
+    held = given if isinstance(given, dict) else {"typical": given}
+    lists = [value for key, value in held.items() if key in ("typical", "max") and isinstance(value, list)]
+    axes = [axis for axis in AXES if axis.startswith(f"{at[0]}_")]
+    if not lists:
+        return [(at[0], given)]
+    if any(len(value) != len(axes) for value in lists):
+        expected = "expected one quantity or, under 'gyro' and 'accel', three (x, y, z)"
+        raise InputError(f"found {given!r}, {expected}", where=document.where(at))
+    return [(a, {k: v[i] if isinstance(v, list) else v for k, v in held.items()}) for i, a in enumerate(axes)]
 
 
 def _figure(document: yamlfile.Document, at: tuple[str, str], given: Any, sources: Mapping[str, Any]) -> Figure:

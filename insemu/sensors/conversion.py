@@ -143,7 +143,7 @@ def _axis_model(sensor: Card, axis: str, case: str, assumed: Assumptions) -> Axi
         said.append(f"RC: turn-on bias {figures['turn_on_bias'].text} (1 sigma), constant from start to end")
     else:
         said.append(
-            "no turn-on bias is printed: the model starts without one (assumed calibrated at rest before the start)"
+            "no turn-on bias or zero offset is among these figures: the model starts without one (assumed calibrated at rest before the start)"
         )
     return AxisModel(NoiseModel(tuple(processes)), tuple(said))
 

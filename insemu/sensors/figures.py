@@ -61,8 +61,9 @@ KINDS: Mapping[str, Kind] = {
         r"in[ -]?run (?:bias )?(?:in)?stability|bias (?:in)?stability(?! over)|\bIRBS\b", "in-run bias stability 8 deg/h",
     ),
     "turn_on_bias": Kind(
-        "{u}", "bias that differs from one start to the next (1 sigma)",
-        r"turn[ -]on bias|bias repeatability|(?:on/off|switch[ -]on) bias|bias on/off", "turn-on bias 0.2 deg/s",
+        "{u}", "bias at the start: it differs from one start, or from one unit, to the next (1 sigma)",
+        r"turn[ -]on bias|bias repeatability|(?:on/off|switch[ -]on) bias|bias on/off|initial bias error"
+        r"|zero[ -](?:rate|g) (?:offset|output|level)(?! (?:change|variation|drift))", "turn-on bias 0.2 deg/s",
     ),
     "correlation_time": Kind(
         "s", "correlation time of the in-run bias", r"correlation time|\bT_?c\b", "Tc 500 s",
