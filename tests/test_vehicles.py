@@ -419,4 +419,6 @@ def test_matched_filters_stay_matched_on_every_preset(tmp_path, preset):
         preset, "urban_drive_1"
     )
     results = assert_matched(tmp_path, preset, builtin, 60)
-    print(f"\n{preset}: NEES/9 {results.total.mean('nees', 0).mean() / 9.0:.3f}, NIS {float(results.nis[0].mean()):.4f}")
+    print(
+        f"\n{preset}: NEES/9 {results.total.mean('nees', 0).mean() / 9.0:.3f}, NIS {float(results.nis[0].mean()):.4f}"
+    )
