@@ -13,9 +13,10 @@ from typer.testing import CliRunner
 
 from benchmarks.vehicles import driven
 from insemu.cli import app
-from insemu.drives import Windows, compare_drives, compared, learn_vehicle, signals_of, windows, windows_of
+from insemu.drives import Windows, compare_drives, compared, learn_vehicle, loudness, signals_of, windows, windows_of
 from insemu.drives.sideslip import sideslip_of
 from insemu.emulate import MotionSpectrum, MovingVehicle, Regime, Slip, read_vehicle
+from insemu.emulate.dynamics.levels import between
 from insemu.errors import InputError
 from insemu.formats import write
 from insemu.noise import WN, NoiseModel
@@ -126,6 +127,26 @@ def test_a_learned_vehicle_drives_like_the_one_it_was_learned_from(recorded: Rec
     assert taught.alike > 0.8 * len(taught.bands)
     # a glide has 1.0; seeds give 0.69 to 0.78, and sixty windows of each a standard deviation of 0.05
     assert taught.powers.value < 0.9
+
+
+def test_levels_are_those_behind_chance_and_blur() -> None:
+    rng = np.random.default_rng(8)
+    freedom = np.tile([3.0, 30.0], (6, 1))
+    true = np.exp(rng.normal(0.0, 0.8, (4000, 6, 2)))
+    found = np.log(loudness.steady(true * rng.gamma(freedom, 1.0 / freedom, true.shape), freedom))
+    # standard deviations of 48,000 numbers: 0.4 per cent; chance alone would make them 1.02 and 0.82
+    assert found.std(axis=(0, 1)) == pytest.approx(0.8, rel=0.02)
+    assert np.abs(found.mean(axis=(0, 1))).max() < 0.02
+    level = np.ones((60, 6))
+    level[20:24] = 20.0
+    window = np.hanning(81)[:-1] ** 2
+    inside = [between(k + np.linspace(-1.0, 1.0, 81)[:-1], level) for k in range(60)]
+    blurred = np.stack([window @ x / window.sum() for x in inside])
+    begins = np.arange(60) % 40 == 0
+    sharp = loudness.sharpened(blurred[:, :, None], begins)[:, :, 0]
+    assert (blurred[19] > 4.0).all() and (blurred[20] < 17.0).all()
+    assert (sharp[19] < 0.5 * blurred[19]).all() and (sharp[20] > 18.0).all()  # 1 and 20 in truth
+    assert sharp[46:56] == pytest.approx(1.0, rel=0.01)  # where nothing changes nothing does
 
 
 def test_standstills_tell_the_noise_of_the_sensor_under_an_engine(way: Recording) -> None:

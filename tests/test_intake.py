@@ -151,7 +151,7 @@ def test_real_recordings_are_understood(name: str) -> None:
         "thor75_uav_flight": "z down",
     }
     assert wanted[name] in axes.text
-    assert next(x for x in card.lines if x.topic == "angular rate").level == "ok"
+    assert next(x for x in card.lines if x.topic == "motion").level == "ok"
     assert any("repeat the six values" in x.text for x in card.of("odd")) == (name == "rtkexp_drive")
 
 
@@ -322,7 +322,7 @@ def test_the_card_of_a_recorded_scenario_is_in_its_summary(tmp_path: Path) -> No
         "designs: {a: {gyro: 'WN(N=0.02 deg/s/sqrt(Hz))', accel: 'WN(N=200 ug/sqrt(Hz))'}}\n"
     )
     card = RecordedWorld(load(tmp_path / "s.yaml"), tmp_path / "s.yaml").card
-    assert {"rate", "axes", "clock", "angular rate"} <= {x.topic for x in card.of("ok")}
+    assert {"rate", "axes", "clock", "motion"} <= {x.topic for x in card.of("ok")}
 
 
 def test_a_stamp_far_away_does_not_hang_the_card() -> None:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from insemu.errors import InputError
 from insemu.formats import open_files, read_log
-from insemu.formats.assemble import axes_matrix
+from insemu.formats.axes import axes_matrix
 from insemu.formats.columns import _triad, guess_map, parse_map, resolve, split_header, words_of
 from insemu.formats.opened import Opened
 
@@ -206,10 +206,10 @@ def test_local_coordinates_are_laid_on_the_ellipsoid(tmp_path: Path, line: str, 
 @pytest.mark.parametrize(
     ("latitudes", "longitudes", "line", "said"),
     [
-        ([100.0] * 3, [7.0] * 3, "lat=la[deg], lon=lo[deg]", '100 deg is beyond 90; latitude and longitude are swapped: --map "latlon=swapped"'),
-        ([46.5] * 3, [7.0] * 3, "lat=la[rad], lon=lo[rad]", '2664.25 deg is beyond 90; the unit is degrees, not rad: --map "pos_unit=deg"'),
-        ([6.25] * 3, [7.0] * 3, "lat=la[rad], lon=lo[rad]", '358.099 deg is beyond 90; latitude and longitude are swapped: --map "latlon=swapped"'),
-        ([465000000] * 3, [7.0] * 3, "lat=la[deg], lon=lo[deg]", '4.65e+08 deg is beyond 90; is it in 1e-7 deg? --map "pos_unit=1e-7 deg"'),
+        ([100.0] * 3, [7.0] * 3, "lat=la[deg], lon=lo[deg]", '100 deg is beyond 90; latitude and longitude are swapped: --gnss-map "latlon=swapped"'),
+        ([46.5] * 3, [7.0] * 3, "lat=la[rad], lon=lo[rad]", '2664.25 deg is beyond 90; the unit is degrees, not rad: --gnss-map "pos_unit=deg"'),
+        ([6.25] * 3, [0.7] * 3, "lat=la[rad], lon=lo[rad]", '358.099 deg is beyond 90; latitude and longitude are swapped: --gnss-map "latlon=swapped"'),  # noqa: E501
+        ([465000000] * 3, [70000000] * 3, "lat=la[deg], lon=lo[deg]", '4.65e+08 deg is beyond 90; is it in 1e-7 deg? --gnss-map "pos_unit=1e-7 deg"'),
     ],
 )  # fmt: skip
 def test_latitudes_beyond_the_pole_are_refused_with_a_hint(
@@ -325,7 +325,7 @@ def test_fixes_of_a_log_at_the_rate_of_the_imu_are_those_that_change(tmp_path: P
         ("time=a[s], gyro=b c d", "x.csv: has columns of gyro and none of accel; say which (--map 'accel=...'). Columns: a, b, c, d, e, f, g, h, i"),
         ("time=a[s], accel=b c d", "x.csv: has columns of accel and none of gyro; say which (--map 'gyro=...'). Columns: a, b, c, d, e, f, g, h, i"),
         (PLAIN + ", axes=FLX", "axes are 'FLX', expected three letters such as FRD, FLU or RFU"),
-        (PLAIN + ", axes=FRU", "axes 'FRU' are left-handed; turn a column round instead (--map 'gyro=gx gy -gz')"),
+        (PLAIN + ", axes=FRU", "axes 'FRU' are left-handed; turn an axis round instead (--map 'gyro_axes=x y -z')"),
         (PLAIN + ", axes=FBD", "axes are 'FBD', expected three letters such as FRD, FLU or RFU"),
         (PLAIN + ", axes=FRDD", "axes are 'FRDD', expected three letters such as FRD, FLU or RFU"),
         (PLAIN + ", mount=1 2", "mount: is '1 2', expected 3 numbers"),
@@ -472,7 +472,7 @@ def test_a_map_line_has_one_unit_behind_all_and_keeps_quotes() -> None:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("latlon=yes", "--map: latlon: is 'yes', expected one of: swapped, as stated"),
+        ("latlon=yes", "--map: latlon: is 'yes', expected one of: swapped, west, as stated"),
         ("kind=rate", "--map: kind: is 'rate', expected one of: sample, mean, increment"),
         ("attitude=up", "--map: attitude: is 'up', expected one of: ned, enu"),
         ("velocity=und", "--map: velocity: is 'und', expected one of: ned, enu, neu"),

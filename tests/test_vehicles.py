@@ -22,7 +22,7 @@ from insemu.emulate import (
     presets,
     read_vehicle,
 )
-from insemu.emulate.dynamics import Line, MotionSpectrum, Regime, physics, slip
+from insemu.emulate.dynamics import Levels, Line, MotionSpectrum, Regime, physics, slip
 from insemu.emulate.flight import origin_at
 from insemu.emulate.waypoints import Waypoints, route
 from insemu.errors import InputError
@@ -139,6 +139,48 @@ def test_a_sine_rectifies_cones_and_sculls_as_theory_says():
     # the specific force holds g times the pitch; what moves is the rest, and 1 - b^2/4 of gravity stays on z
     moved = force - G * b
     assert (x - still)[inside, 5].mean() == pytest.approx(0.5 * moved * b + 0.25 * G * b**2, rel=0.01)
+
+
+def seen(loud, speed, bands=1):
+    """Levels of rows that are loud (ten times) or not in every axis, at speeds m/s."""
+    edges = np.geomspace(1.0, 16.0, bands + 1)
+    motion = np.stack([speed, 0.0 * speed, 0.0 * speed], axis=1)
+    log = np.log(1e-4) + np.log(10.0) * np.tile(loud[:, None, None], (1, 6, bands))
+    return Levels(edges, 2.0, motion, log, np.arange(loud.size) == 0)
+
+
+def test_levels_are_drawn_where_the_vehicle_moves_so_and_go_on_as_they_did():
+    loud = np.repeat(np.tile([0.0, 1.0], 10), 5)
+    loud[:50] = 0.5 * loud[:50]  # half as loud while it stands
+    levels = seen(loud, np.repeat([0.0, 10.0], 50))
+    motion = np.zeros((400, 3))
+    motion[200:, 0] = 10.5
+    drawn = np.log10(levels.drawn(motion, np.random.default_rng(1)) / 1e-4)
+    assert np.ptp(drawn, axis=1).max() < 1e-9  # all axes together
+    still, moving = drawn[:200, 0], drawn[200:, 0]
+    assert set(np.round(still, 6)) == {0.0, 0.5} and set(np.round(moving, 6)) == {0.0, 1.0}
+    for x in (still, moving):
+        assert 0.35 < np.mean(x > 0.1) < 0.65  # rows are used evenly
+        assert (
+            np.mean(np.diff(x) == 0.0) > 0.65
+        )  # loud and quiet last for five rows, of independent ones half would be equal
+
+
+@statistical(1e-6, 12, power=1.0)  # ten times a density is hundreds of standard deviations off
+def test_levels_say_how_loud_the_bands_are(coloured):
+    speed = np.full(8, 10.0)
+    levels = replace(
+        seen(np.zeros(8), speed, 2), log=np.log(np.outer([1, 1, 1, 9, 9, 9], [1e-6, 1e-7]))[None] + np.zeros((8, 1, 1))
+    )
+    spectrum = MotionSpectrum(np.array([0.5, 40.0]), (coloured,), levels=levels)
+    _, x = felt(dynamics.shaken(straight(), spectrum, 2))
+    f, density = welch(x, 200.0, nperseg=4000, axis=0)
+    for k, (low, high) in enumerate(((1.0, 4.0), (4.0, 16.0))):
+        inside = (f >= low) & (f < high)
+        # bins times averages, a share of them independent; densities fall by a factor of a few inside of a band
+        sigma = np.sqrt(8.0 / (inside.sum() * 60))
+        found = density[inside].mean(axis=0) / np.exp(levels.log[0, :, k])
+        assert np.abs(found - 1.0).max() < 5.1 * sigma + 0.03, found
 
 
 def test_a_tilt_shows_gravity_and_an_arm_its_lever():
@@ -314,6 +356,18 @@ def test_a_vehicle_comes_back_from_its_file(tmp_path, coloured):
     assert dynamics.vehicle_text(back) == file.read_text()
 
 
+def test_levels_come_back_from_a_file(tmp_path, coloured):
+    levels = replace(
+        seen(np.array([0.0, 1.0, 0.3]), np.array([0.0, 1.0, 2.5]), 2), begins=np.array([True, False, True])
+    )
+    spectrum = MotionSpectrum(np.array([0.5, 40.0]), (coloured,), levels=levels)
+    (tmp_path / "car.yaml").write_text(dynamics.vehicle_text(dynamics.MovingVehicle("a car", "car", spectrum)))
+    back = dynamics.read_vehicle(tmp_path / "car.yaml").spectrum.levels
+    assert np.abs(back.log - levels.log).max() < 0.0051 * np.log(10.0)  # two digits behind the point
+    assert (back.step, *back.begins) == (2.0, True, False, True)
+    assert back.motion == pytest.approx(levels.motion, rel=5e-3) and back.edges == pytest.approx(levels.edges, rel=1e-4)
+
+
 BROKEN = (
     ("regimes:", "regime:", ":6: regime: unknown key 'regime'"),
     ("kind: car", "kind: cart", ":2: kind: unknown vehicle 'cart'"),
@@ -321,12 +375,20 @@ BROKEN = (
     ("      gyro_x gyro_y", "      gyro_x gyro_q", "expected two of gyro_x"),
     ("    density:", "    density: 3\n    dens:", "regimes.all.dens: unknown key"),
     ("    rate: 13", "    rate: -13", "expected a positive order and one positive number"),
+    ("  step: 2", "  step: 0", "levels: levels every 0.0 s, expected a positive number"),
+    ("    - - [10, ", "    - - [", ":38: levels.stretches.0.0: found [0, 0, -4.0, -4.0, -4.0, -4.0, -4.0, -4.0], expected 9 numbers"),
+    ("  edges: [1, 16]", "  edges: [16, 1]", "expected two or more positive numbers that increase"),
 )  # fmt: skip
 
 
 @pytest.mark.parametrize(("old", "new", "message"), BROKEN, ids=[b[1].strip()[:12] for b in BROKEN])
 def test_a_broken_file_is_refused_with_its_place(tmp_path, coloured, old, new, message):
-    spectrum = MotionSpectrum(np.array([0.5, 40.0]), (coloured,), (Line("engine", 2.0, {"*": (1e-3,) * 6}, rate=13.0),))
+    spectrum = MotionSpectrum(
+        np.array([0.5, 40.0]),
+        (coloured,),
+        (Line("engine", 2.0, {"*": (1e-3,) * 6}, rate=13.0),),
+        levels=seen(np.zeros(2), np.full(2, 10.0)),
+    )
     text = dynamics.vehicle_text(dynamics.MovingVehicle("a car", "car", spectrum, "somewhere", 1.0, slip.SLIPS["car"]))
     assert old in text
     file = tmp_path / "car.yaml"

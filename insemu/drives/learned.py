@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -327,7 +328,7 @@ def _regime(
         table(edges, density),
         (0.5 * (coherence + np.conj(np.swapaxes(coherence, 1, 2))))[cell],
         density_sigma=spread[cell],
-        **where,
+        **dict[str, Any](where),
     )
     words = [
         f"{axis_name(a)} {' and '.join(f'{x:.2g} to {y:.2g}' for x, y in _stretches(edges, hidden[:, a]))} Hz"

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from insemu import rotation
 from insemu.errors import InputError
 from insemu.formats import clocks
+from insemu.formats.angles import DIGITS, digits, place_unit
+from insemu.formats.axes import axes_matrix, axis_order
 from insemu.formats.columns import ROLES, UNIT_SETTING, ColumnMap, guessed_line, resolve
 from insemu.formats.table import Table
 from insemu.records import ImuKind, ImuRecord
@@ -35,6 +37,7 @@ class Story:
     notes: list[str] = field(default_factory=list)
     repeated: int = 0
     missing: int = 0
+    units: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,9 @@ def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
         return None
     values: dict[str, Array] = {}
     integrals = []
+    places = place_unit(used, table, names)
+    if places and "pos_unit" not in used.settings:
+        story.assumed.append(f"latitude and longitude in {places}: as degrees they would be beyond 90 and 180")
     for role in roles:
         units, found = [], []
         picked = resolve(role, used.picks[role], names, where)
@@ -104,12 +110,23 @@ def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
         for column, (k, pick) in zip(block.T, picked, strict=True):
             unit = pick.unit if pick.unit is not None else table.units.get(names[k], "")
             unit = used.settings.get(UNIT_SETTING.get(role, ""), unit)
+            if role in ("lat", "lon"):
+                unit = places or unit
+                if unit in DIGITS:
+                    column[:], unit = digits(table.columns[names[k]], unit), "deg"
+                    np.multiply(column, np.pi / 180.0 * pick.sign, out=column)
+                    units.append(unit)
+                    found.append(("-" if pick.sign < 0 else "") + names[k])
+                    continue
             factor, integral = _factor(role, unit, f"{where}: {names[k]}")
             integrals.append((role, integral))
             np.multiply(table.columns[names[k]], factor * pick.sign, out=column)
             units.append(unit)
             found.append(("-" if pick.sign < 0 else "") + names[k])
         values[role] = block[:, 0] if len(picked) == 1 else block
+        story.units[role] = units[0]
+        if f"{role}_axes" in used.settings:
+            values[role] = values[role] @ axis_order(used.settings[f"{role}_axes"], where).T
         _say(role, found, units, story, table)
     kind = _kind(used.settings, integrals, where)
     rows = next(iter(values.values())).shape[0]
@@ -150,6 +167,8 @@ def _factor(role: str, unit: str, where: str) -> tuple[float, bool]:
         found = scaled_unit(unit)
     except InputError as error:
         raise InputError(error.message, where=where) from None
+    if si == "m/s" and found.dimension == parse_unit("m").dimension:  # speeds called after their length
+        return found.factor, False
     if found.dimension == parse_unit(si).dimension:
         return found.factor, False
     if role in ("gyro", "accel") and found.dimension == parse_unit({"gyro": "rad", "accel": "m/s"}[role]).dimension:
@@ -269,35 +288,6 @@ def timed(
     found = sample_times(t, same)
     story.notes += [f"{what}: {text}" for text in found.said]
     return found.rows, found.t
-
-
-_LETTERS = {"F": (0, 1.0), "B": (0, -1.0), "R": (1, 1.0), "L": (1, -1.0), "D": (2, 1.0), "U": (2, -1.0)}
-_NAMED = {"ENU": "RFU", "NED": "FRD", "NWU": "FLU", "SELF": "FRD"}
-
-
-def axes_matrix(letters: str) -> Array:
-    """Matrix that takes vectors of axes such as ``FLU`` to forward-right-down.
-
-    Raises
-    ------
-    InputError
-        Not three letters of three directions, or a left-handed set.
-
-    Examples
-    --------
-    >>> axes_matrix("FLU").tolist()
-    [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
-    """
-    text = _NAMED.get(letters.upper(), letters.upper())
-    if len(text) != 3 or any(c not in _LETTERS for c in text) or len({_LETTERS[c][0] for c in text}) != 3:
-        raise InputError(f"axes are '{letters[:20]}', expected three letters such as FRD, FLU or RFU")
-    matrix = np.zeros((3, 3))
-    for column, letter in enumerate(text):
-        row, sign = _LETTERS[letter]
-        matrix[row, column] = sign
-    if np.linalg.det(matrix) < 0:
-        raise InputError(f"axes '{letters}' are left-handed; turn a column round instead (--map 'gyro=gx gy -gz')")
-    return matrix
 
 
 def mounting_of(settings: Mapping[str, str], where: str) -> Array | None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from insemu import yamlfile
 from insemu.errors import InputError, nearest
+from insemu.formats.names import english
 from insemu.units import parse, parse_unit, scaled_unit
 from insemu.whole import put
 
@@ -52,18 +53,21 @@ SETTINGS: Mapping[str, str] = {
     "gyro_unit": "what the numbers of the gyroscope really are, such as deg/s",
     "accel_unit": "what the numbers of the accelerometer really are, such as g",
     "time_unit": "what the stamps really are: s, ms, us or ns",
-    "pos_unit": "what latitude and longitude really are: deg or rad",
+    "pos_unit": "what latitude and longitude really are: deg, rad, 1e-7 deg, ddmm (4530.5) or dd.mm (45.305)",
     "vel_unit": "what the velocities really are, such as knots",
     "velocity": "ned, enu or neu: what the three components of the velocity really are",
-    "latlon": "swapped, where the latitude stands in the column of the longitude",
+    "latlon": "swapped, where the latitude stands in the column of the longitude; west, where longitudes count west",
+    "height_unit": "what the heights really are, such as ft",
+    "gyro_axes": "which columns of the gyroscope are x, y and z, such as y x z or -x -y -z",
+    "accel_axes": "which columns of the accelerometer are x, y and z, such as x -y z",
 }
 #: Role -> the setting that says its unit against what the file states.
 UNIT_SETTING: Mapping[str, str] = {
     "time": "time_unit", "gyro": "gyro_unit", "accel": "accel_unit", "lat": "pos_unit", "lon": "pos_unit",
-    "vel_ned": "vel_unit", "vel_enu": "vel_unit", "vel_neu": "vel_unit", "speed": "vel_unit",
+    "height": "height_unit", "vel_ned": "vel_unit", "vel_enu": "vel_unit", "vel_neu": "vel_unit", "speed": "vel_unit",
 }  # fmt: skip
 _CHOICES = {
-    "latlon": ("swapped", "as stated"),
+    "latlon": ("swapped", "west", "as stated"),
     "velocity": ("ned", "enu", "neu"),
     "kind": ("sample", "mean", "increment"),
     "attitude": ("ned", "enu"),
@@ -144,7 +148,7 @@ def _setting(key: str, value: str, where: str) -> str:
     if key in _CHOICES and value not in _CHOICES[key]:
         raise InputError(f"is '{value[:40]}', expected one of: {', '.join(_CHOICES[key])}", where=f"{where}: {key}")
     role = next((r for r, k in UNIT_SETTING.items() if k == key), None)
-    if role is not None:
+    if role is not None and not (key == "pos_unit" and value in ("ddmm", "dd.mm")):
         _check_unit(role, value, where)
     if key in ("shift", "gnss_shift", "from", "to", "rate"):
         parse(value, "Hz" if key == "rate" else "s")
@@ -356,6 +360,23 @@ def _triad(role: str, names: Sequence[str]) -> tuple[Pick, ...] | None:
     return None
 
 
+def several(names: Sequence[str]) -> list[tuple[str, ...]]:
+    """Columns of the gyroscopes of a table whose names differ in a number alone (``gyro1_x``, ``gyro2_x``), one triad each."""
+    found: dict[tuple[str, ...], dict[str, str]] = {}
+    for name in names:
+        words = words_of(english(name))
+        digits = tuple(w for w in words if w.isdigit())
+        axis = [w for w in words if w in ("x", "y", "z")]
+        if (
+            len(axis) == 1
+            and digits
+            and not set(words) & _NOT
+            and _is_role("gyro", [w for w in words if w not in digits and w != axis[0]])
+        ):
+            found.setdefault(digits, {})[axis[0]] = name
+    return [tuple(axes[a] for a in "xyz") for axes in found.values() if len(axes) == 3]
+
+
 def _is_role(role: str, stem: Sequence[str]) -> bool:
     words = set(stem)
     if role == "gyro":
@@ -374,8 +395,8 @@ _SINGLE: Mapping[str, tuple[frozenset[str], ...]] = {
     "temperature": tuple(map(frozenset, ({"temperature"}, {"temp"}))),
     "speed": tuple(map(frozenset, ({"speed"}, {"groundspeed"}))),
     "course": tuple(map(frozenset, ({"course"}, {"cog"}, {"bearing"}, {"direction"}, {"track"}))),
-    "pos_std_h": tuple(map(frozenset, ({"horizontal", "accuracy"}, {"hacc"}, {"eph"}))),
-    "pos_std_v": tuple(map(frozenset, ({"vertical", "accuracy"}, {"vacc"}, {"epv"}))),
+    "pos_std_h": tuple(map(frozenset, ({"horizontal", "accuracy"}, {"h", "acc"}, {"hacc"}, {"eph"}))),
+    "pos_std_v": tuple(map(frozenset, ({"vertical", "accuracy"}, {"v", "acc"}, {"vacc"}, {"epv"}))),
     "week": tuple(map(frozenset, ({"week"},))),
 }
 
@@ -387,7 +408,7 @@ def _per_axis(*beginnings: str) -> tuple[tuple[str, str, str], ...]:
 
 _VECTORS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
     "vel_ned": (("vn", "ve", "vd"), ("v_n", "v_e", "v_d"), ("vel_n", "vel_e", "vel_d"), ("vnorth", "veast", "vdown"),
-                ("vel_n_m_s", "vel_e_m_s", "vel_d_m_s"), ("north velocity", "east velocity", "down velocity")),
+                ("vel_n_m_s", "vel_e_m_s", "vel_d_m_s"), ("veln", "vele", "veld"), ("north velocity", "east velocity", "down velocity")),
     "vel_enu": (("ve", "vn", "vu"), ("east velocity", "north velocity", "up velocity"), ("vel_e", "vel_n", "vel_u"),
                 ("v_e", "v_n", "v_u")),
     "pos_std_ned": _per_axis("pos_std_", "sd", "sd_", "std_", "sigma_", "pos_sigma_", "std_pos_", "sigma_pos_"),
@@ -414,6 +435,7 @@ def guess_map(names: Sequence[str], columns: Sequence[NDArray[np.float64]] | Non
         Empty where nothing is known.
     """
     picks: dict[str, tuple[Pick, ...]] = {}
+    written, names = list(names), [english(n) for n in names]
     at = _time(names, columns)
     if at is not None:
         picks["time"] = (Pick(names[at]),)
@@ -447,7 +469,8 @@ def guess_map(names: Sequence[str], columns: Sequence[NDArray[np.float64]] | Non
     if "lat" not in picks or "lon" not in picks:
         for role in ("lat", "lon", "height", "speed", "course", "pos_std_h", "pos_std_v"):
             picks.pop(role, None)
-    return ColumnMap(picks)
+    back = dict(zip(reversed(names), reversed(written), strict=True))
+    return ColumnMap({r: tuple(replace(p, column=back[p.column]) for p in ps) for r, ps in picks.items()})
 
 
 def _time(names: Sequence[str], columns: Sequence[NDArray[np.float64]] | None) -> int | None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from insemu import rotation
 from insemu.errors import InputError
 from insemu.formats import clocks
 from insemu.formats.assemble import Columns, Story, clock_of, columns_of, imu_of, mounting_of, unknown
-from insemu.formats.columns import ColumnMap, read_preset
+from insemu.formats.columns import ColumnMap, parse_map, read_preset
 from insemu.formats.decoding import decoding
 from insemu.formats.places import attitude, gnss_of, has_position, reference_of
 from insemu.formats.table import Besides, Reader, Table, reader_of
@@ -21,6 +22,44 @@ from insemu.stamps import OWN, SECOND, Origin, counted
 from insemu.units import parse
 
 Array = NDArray[np.float64]
+
+
+#: Settings of the fixes, which belong to the file of the fixes where that is another one.
+OF_FIXES = ("latlon", "pos_unit", "height_unit", "vel_unit", "velocity", "gnss_shift", "gnss_move")
+
+
+@dataclass(frozen=True)
+class Again:
+    """The same files, read with further settings.
+
+    Parameters
+    ----------
+    path, gnss, truth : path
+        As of :func:`open_files`.
+    maps : three maps
+    """
+
+    path: Path
+    gnss: Path | None
+    truth: Path | None
+    maps: tuple[ColumnMap, ColumnMap, ColumnMap]
+
+    def _shared_out(self, settings: Mapping[str, str]) -> tuple[ColumnMap, ColumnMap]:
+        apart = {k: v for k, v in settings.items() if k in OF_FIXES and self.gnss is not None}
+        return ColumnMap({}, {k: v for k, v in settings.items() if k not in apart}), ColumnMap({}, apart)
+
+    def read(self, settings: Mapping[str, str]) -> Opened:
+        """Read the files with these settings over the maps."""
+        main, fixes = self._shared_out(settings)
+        given = main.over(self.maps[0]), fixes.over(self.maps[1]), self.maps[2]
+        return open_files(self.path, gnss=self.gnss, truth=self.truth, maps=given)
+
+    def options(self, settings: Mapping[str, str]) -> str:
+        """What is added to the command, the maps that were given included."""
+        main, fixes = self._shared_out(settings)
+        maps = {"--map": main.over(self.maps[0]), "--gnss-map": fixes.over(self.maps[1])}
+        files = [f'--gnss "{self.gnss}"'] if self.gnss is not None else []
+        return " ".join([*files, *(f'{name} "{m}"' for name, m in maps.items() if m)])
 
 
 @dataclass(frozen=True)
@@ -51,6 +90,10 @@ class Opened:
         What was done to it before it was written.
     origin : Origin
         When time 0 was: the second of the first row of the IMU, or of the fixes or the reference where there is none.
+    units : mapping of str to str
+        Units that were taken, by role.
+    again : Again, optional
+        Reads the same files with further settings.
     """
 
     source: str
@@ -67,6 +110,8 @@ class Opened:
     origin: Origin = OWN
     initial: InitialState | None = None
     preparation: Preparation | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    again: Again | None = None
 
     def recording(self) -> Recording:
         """The canonical recording; raises :class:`~insemu.errors.InputError` where there is no IMU."""
@@ -153,7 +198,11 @@ def open_files(
     if gnss_part is not None and gnss_part is not truth_part:
         with decoding((fixes or main).path, (fixes or main).reader.name):
             gnss_part, origin = _on_clock(gnss_part, origin, story)
-            gnss_record = gnss_of(gnss_part, story)
+            try:
+                gnss_record = gnss_of(gnss_part, story)
+            except InputError as error:  # a setting of the fixes belongs to their file
+                said = error.message if fixes is None else error.message.replace("--map ", "--gnss-map ")
+                raise InputError(said, where=error.where) from None
     if truth_part is not None:
         with decoding((reference or main).path, (reference or main).reader.name):
             truth_part, origin = _on_clock(truth_part, origin, story)
@@ -180,15 +229,25 @@ def open_files(
         origin,
         initial,
         preparation,
+        dict(story.units),
+        Again(
+            Path(path),
+            None if gnss is None else Path(gnss),
+            None if truth is None else Path(truth),
+            (_map_of(maps[0]), _map_of(maps[1]), _map_of(maps[2])),
+        ),
     )
 
 
+def _map_of(given: str | ColumnMap) -> ColumnMap:
+    return given if isinstance(given, ColumnMap) else parse_map(given)
+
+
 def _read(path: Path, given: str | ColumnMap, story: Story) -> _File:
-    from insemu.formats.columns import parse_map
 
     if not path.exists():
         raise FileNotFoundError(2, "No such file or directory", str(path))
-    user = given if isinstance(given, ColumnMap) else parse_map(given)
+    user = _map_of(given)
     preset = read_preset(path)
     if preset is not None:
         user = user.over(preset)

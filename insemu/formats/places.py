@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 from insemu import earth, rotation
 from insemu.errors import InputError
-from insemu.formats.assemble import Columns, Story, axes_matrix, numbers_of, timed
+from insemu.formats.angles import check_latitude
+from insemu.formats.assemble import Columns, Story, numbers_of, timed
+from insemu.formats.axes import axes_matrix
 from insemu.records import GnssRecord, Trajectory
 from insemu.units import parse
 
@@ -26,8 +28,9 @@ def positions(part: Columns, story: Story) -> Array | None:
             story.assumed.append(f"height 0 m: {part.table.name} has none")
             height = np.zeros(part.t.size)
         first, second = ("lon", "lat") if part.settings.get("latlon") == "swapped" else ("lat", "lon")
-        llh = np.column_stack([v[first], v[second], height])
-        _check_latitude(llh, part)
+        east = -v[second] if part.settings.get("latlon") == "west" else v[second]
+        llh = np.column_stack([v[first], east, height])
+        check_latitude(llh, part.table.name)
         return llh
     if "ecef" in v:
         import pymap3d
@@ -48,20 +51,6 @@ def positions(part: Columns, story: Story) -> Array | None:
             f"the local coordinates of {part.table.name} begin at 0 deg N, 0 deg E, 0 m (--map 'origin=48.1 11.5 500' says where)"
         )
     return np.asarray(earth.ned_to_llh(local, given * [np.pi / 180, np.pi / 180, 1.0]))
-
-
-def _check_latitude(llh: Array, part: Columns) -> None:
-    largest = np.nanmax(np.abs(llh[:, 0]), initial=0.0)
-    if largest <= np.pi / 2 + 1e-12:
-        return
-    degrees = np.rad2deg(largest)
-    if degrees > 1e4:
-        hint = 'is it in 1e-7 deg? --map "pos_unit=1e-7 deg"'
-    elif degrees > 360.0:  # no longitude in its place is as large
-        hint = 'the unit is degrees, not rad: --map "pos_unit=deg"'
-    else:
-        hint = 'latitude and longitude are swapped: --map "latlon=swapped"'
-    raise InputError(f"a latitude of {degrees:.6g} deg is beyond 90; {hint}", where=part.table.name)
 
 
 def _velocity(part: Columns) -> Array | None:
@@ -106,8 +95,8 @@ def _sigmas(part: Columns, story: Story) -> tuple[Array | None, Array | None]:
         horizontal = np.array([QUALITY_SIGMA.get(int(q), np.nan) if np.isfinite(q) else np.nan for q in v["quality"]])
         position = np.column_stack([horizontal, horizontal, 1.5 * horizontal])
         story.assumed.append("standard deviations from the quality of each fix: single 5 m, float 0.5 m, fixed 0.02 m")
-    if position is not None:
-        position = np.abs(position)
+    if position is not None:  # 0 is how files say that nothing is known
+        position = np.where(position == 0.0, np.nan, np.abs(position))
     velocity = v.get("vel_std_ned", v["vel_std_enu"][:, [1, 0, 2]] if "vel_std_enu" in v else None)
     if velocity is None and "vel_std_h" in v:
         velocity = np.tile(v["vel_std_h"][:, None], (1, 3))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from insemu.errors import InputError, nearest
 from insemu.formats.clocks import read_stamps
-from insemu.formats.columns import split_header, words_of
+from insemu.formats.columns import guess_map, split_header
 from insemu.formats.npz import load_npy, load_npz, numbers, scalar, texts
 from insemu.formats.text import is_text, read_table, write_table
 from insemu.records import AXES, COLUMNS, ImuRecord, Series
@@ -389,12 +389,8 @@ def _csv(path: Path) -> _Parts:
         cells = [split_header(cell) for cell in header]
         names, units = [n or "column" for n, _ in cells], [u for _, u in cells]
         at = next((k for k, n in enumerate(names) if n.lower() in _TIME_NAMES), None)
-        if (
-            at is None
-            and set(words_of(names[0])) & {"time", "timestamp", "stamp", "tow", "sow"}
-            and _is_time(columns[0], even=False)
-        ):
-            at = 0
+        if at is None and (picked := guess_map(names, columns).picks.get("time")) is not None:
+            at = names.index(picked[0].column)
     t = None
     if at is not None and len(names) > 1:
         t = _times(columns.pop(at), names[at], units[at], path)

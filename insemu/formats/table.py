@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,6 @@ from insemu.formats.columns import ColumnMap, guess_map, split_header
 from insemu.formats.decoding import decoding, encoding_of, head_of, open_for_pandas, open_text
 from insemu.formats.text import pieces
 from insemu.records import AidRecord, InitialState, Preparation
-from insemu.units import parse_unit
 
 
 @dataclass(frozen=True)
@@ -320,13 +319,25 @@ def _values(series: Any, text: bool) -> NDArray[Any] | None:
     return np.asarray(series.astype(str).to_numpy()) if text else None
 
 
+#: Units as names of columns end in them.
+_TAILS = {
+    "dps": "deg/s", "deg": "deg", "rad": "rad", "mg": "mg", "ms2": "m/s^2", "mps2": "m/s^2", "mps": "m/s", "rads": "rad/s", "ns": "ns", "us": "us",
+    "ms": "ms", "mm": "mm", "cm": "cm", "km": "km", "ft": "ft", "kmh": "km/h", "kph": "km/h", "kn": "kn", "knots": "kn", "mph": "mph",
+}  # fmt: skip
+
+
 def any_table(path: Path, *, name: str = "") -> Table:
     """Any delimited text as a table with the map that its names suggest."""
     columns, units, _ = read_delimited(path)
     known = dict(units)
+    bare: dict[str, str] = {}
     for column in columns:  # gyro_x_dps says its unit in its name
-        tail = column.rpartition("_")[2]
-        if column not in known and tail in ("dps", "deg", "rad", "mg", "ms2", "mps", "rads", "ns", "us", "ms"):
-            known[column] = {"ms2": "m/s^2", "mps": "m/s", "rads": "rad/s"}.get(tail, tail)
-            parse_unit(known[column])
-    return Table(name or path.name, columns, known, guess_map(list(columns), list(columns.values())))
+        stem, _, tail = column.rpartition("_")
+        if column not in known and stem and tail in _TAILS:
+            known[column] = _TAILS[tail]
+            stem = stem if stem not in bare.values() and stem not in columns else column
+            bare[column] = stem
+    guess = guess_map([bare.get(c, c) for c in columns], list(columns.values()))
+    back = {stem: column for column, stem in bare.items()}
+    picks = {r: tuple(replace(p, column=back.get(p.column, p.column)) for p in ps) for r, ps in guess.picks.items()}
+    return Table(name or path.name, columns, known, replace(guess, picks=picks))

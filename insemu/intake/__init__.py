@@ -12,7 +12,7 @@ import numpy as np
 
 from insemu import formats
 from insemu.formats import Log, Opened, start_said
-from insemu.intake import checks
+from insemu.intake import checks, receiver, tried
 from insemu.intake import fixes as fixed
 from insemu.intake.card import Card, Level, Line
 from insemu.intake.fixes import vehicle_axes
@@ -41,33 +41,33 @@ def examine(data: Opened | Recording | Log, kind: str = "") -> Card:
     Card
     """
     with np.errstate(all="ignore"):  # absurd numbers make absurd findings, not warnings of a library
-        return _examined(data, kind)
+        if isinstance(data, Log):
+            return Card(data.source, kind or "static log", tuple(_log_lines(data)))
+        return tried.tried(_opened(data, kind), lambda opened: _examined(opened, kind))
 
 
-def _examined(data: Opened | Recording | Log, kind: str) -> Card:
-    if isinstance(data, Log):
-        return Card(data.source, kind or "static log", tuple(_log_lines(data)))
+def _opened(data: Opened | Recording, kind: str) -> Opened:
+    """A recording as what was opened; one that is in memory is read again from a file of our own layout."""
     if isinstance(data, Recording):
+        notes, aids, origin = data.remarks, data.aids, data.origin
         data = Opened(
-            data.source,
-            kind or "recording",
-            data.imu,
-            data.gnss,
-            data.reference,
-            notes=data.remarks,
-            aids=data.aids,
-            origin=data.origin,
+            data.source, kind or "recording", data.imu, data.gnss, data.reference, notes=notes, aids=aids, origin=origin
         )
+    return data
+
+
+def _examined(data: Opened, kind: str) -> Card:
     lines = [Line("taken", "ok", text) for text in data.taken]
     lines += [Line("assumed", "assumed", text) for text in data.assumed]
     lines += [Line("start", "ok", text) for text in [start_said(data.origin)] if text]
     lines += [Line("done", "odd" if "left out" in text else "ok", text) for text in data.notes]
     unstated = {role for role in ("gyro", "accel", "vel") for a in data.assumed if a.startswith(role)}
-    found = fixed.agreement(data.gnss) if data.gnss is not None else None
+    found = receiver.agreement(data.gnss) if data.gnss is not None else None
     if data.imu is not None:
         lines += _imu_lines(data, data.imu, found, unstated)
     if data.gnss is not None:
-        lines += fixed.fixes(data.gnss, found, "vel" in unstated)
+        opposite = fixed.upright(data.imu, data.gnss, found) if data.imu is not None else 0.0
+        lines += receiver.fixes(data.gnss, found, "vel" in unstated, opposite)
     if data.reference is not None:
         t = data.reference.t
         lines.append(
@@ -90,22 +90,28 @@ def _aid_line(aid: AidRecord) -> Line:
     return Line(aid.kind, "ok", f"{len(aid)} measurements{rate}, stated standard deviations {sigma} (SI, median)")
 
 
-def _imu_lines(data: Opened, imu: ImuRecord, found: fixed.Agreement | None, unstated: set[str]) -> list[Line]:
+def _imu_lines(data: Opened, imu: ImuRecord, found: receiver.Agreement | None, unstated: set[str]) -> list[Line]:
     counts = {"repeated": data.repeated, "missing": data.missing}
-    lines = checks.timing(imu.t, counts) + checks.repeats(imu) + checks.force(imu)
-    turn = push = None
-    gnss = data.gnss
+    lines = checks.timing(imu.t, counts) + checks.repeats(imu) + checks.columns(imu)
+    push, gnss = None, data.gnss
+    if gnss is None:
+        lines += checks.moved(imu.t, imu.rates())
+    motion: list[Line] = []
     if gnss is not None:
         apart = fixed.together(imu, gnss, "fixes")
         lines += apart
         if not fixed.refused(apart):
             turn, push = fixed.against_fixes(imu, gnss, found)
-            lines += fixed.offset(turn) + fixed.size_of_motion(push, gnss)
-            lines += fixed.mirrored(turn, gnss.vel_ned is not None)
+            motion, stands = fixed.weighed(imu, gnss, found, data.units, turn)
+            lines += motion or fixed.offset(turn)
+            if not stands:  # what is read wrongly says nothing about axes
+                return lines + [x for x in checks.force(imu, False) if x.level == "wrong" and "--map" not in x.mend]
+    lines += checks.force(imu, any(x.topic == "motion" and x.level == "ok" for x in motion))
     if data.reference is not None:
         lines += fixed.together(imu, data.reference, "reference")
-    lines += checks.rates(imu, turn, "gyro" in unstated)
-    lines += checks.axes(imu, push, turn is None or turn.correlation >= 0.0)
+    if not any(x.level == "ok" for x in motion):
+        lines += checks.rates_alone(imu, "gyro" in unstated)
+    lines += checks.axes(imu, push)
     return lines
 
 

@@ -65,7 +65,7 @@ class Card:
 
     def command(self, line: Line) -> str:
         """The command that mends a finding."""
-        if not line.mend.startswith("--map"):
+        if not line.mend.startswith("--"):
             return line.mend
         return f"insemu open {self.source.split(', ')[0]} {line.mend} -o mended.npz"
 

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from insemu import rotation
 from insemu.formats import round_rate
-from insemu.intake.card import Level, Line
+from insemu.intake.card import Line
 from insemu.intake.motion import Push, Turn, up_of
 from insemu.records import ImuRecord
 from insemu.sample_times import beat, samples
 
 Array = NDArray[np.float64]
 
-G = 9.8
+G, G_STANDARD = 9.8, 9.80665
 #: A step of more than this many intervals is a gap (as in static logs).
 GAP = 1.5
 #: Slowest and fastest IMU, Hz, that anybody fuses with GNSS.
@@ -31,6 +31,16 @@ NEAR, KNOWN = 0.25, 0.2
 BELIEVED, REFUSES, FEWEST = 8.0, 12.0, 20
 #: Correlation of the turn of gravity with the gyroscope's from which their ratio is believed.
 TILTED = 0.8
+#: Shortest record of which it is asked whether it was moved, s; a second moves that spreads by so many times the median second.
+REST_SECONDS, MOVED = 60, 10.0
+#: Longest part of a record at rest in which it is moved; more is a drive.
+HANDLED = 0.2
+#: Size of the mean specific force, in units of gravity, up to which a manoeuvre explains it (a 3-g turn all the time).
+MANOEUVRE = 4.0
+#: A rail: rows at an extreme, their share, and how many times the rows of the value beside it (counts thin out to their ends).
+RAIL_ROWS, RAIL_SHARE, RAIL_OVER = 20, 2e-4, 3
+#: A median rate that no vehicle keeps, rad/s; longest time for which six values stay the same by chance of counts, s; rows looked at for blocks.
+SPIN, FROZEN, BLOCK_ROWS = 10.0, 1.0, 100_000
 #: Departure from a right angle, deg, below which axes are named after it.
 SQUARE = 25.0
 
@@ -90,11 +100,7 @@ def timing(t: Array, counts: Mapping[str, int], *, moving: bool = True) -> list[
         k = int(gaps[np.argmax(step[gaps])])
         text = f"{gaps.size} gap(s), {lost} of {t.size + lost} samples lost, the longest {step[k]:.4g} s, {t[k] - t[0]:.6g} s after the start"
         long = moving and step[k] > max(0.5, 5.0 * dt)
-        first, last = t[0], t[-1]
-        half = f'--map "from={t[k + 1]:.6f} s"' if last - t[k + 1] > t[k] - first else f'--map "to={t[k]:.6f} s"'
-        out.append(
-            Line("gaps", "odd", text + (": nothing measures what happened in it" if long else ""), half if long else "")
-        )
+        out.append(Line("gaps", "odd", text + (": nothing measures what happened in it" if long else "")))
     repeated, missing = (counts.get(k, 0) for k in ("repeated", "missing"))
     if repeated or missing:
         out.append(
@@ -105,6 +111,35 @@ def timing(t: Array, counts: Mapping[str, int], *, moving: bool = True) -> list[
             )
         )
     return out
+
+
+def moved(t: Array, values: Array) -> list[Line]:
+    """Whether a record that is mostly at rest was moved: stretches of a second that move many times as much as the others, and do not come back.
+
+    Parameters
+    ----------
+    t : (n,) array
+        s.
+    values : (n, k) array
+        Signals.
+    """
+    count = max(2, round(1.0 / beat(t)))
+    n = len(values) // count
+    if n < REST_SECONDS:
+        return []
+    blocks = values[: n * count].reshape(n, count, -1)
+    spread = blocks.std(axis=1)
+    usual = np.median(spread, axis=0)
+    moving = (spread > MOVED * np.maximum(usual, 1e-300)).any(axis=1)
+    rows = np.flatnonzero(moving)
+    if rows.size < 2 or rows[-1] - rows[0] + 1 > HANDLED * n or not (usual > 0.0).all():
+        return []
+    first, last = float(t[rows[0] * count]), float(t[min((rows[-1] + 1) * count, t.size - 1)])
+    text = (
+        f"at rest, and moved between {first:.4g} and {last:.4g} s: noise and drift of the whole are those of the motion"
+    )
+    keep = f"to={first - 1.0:.6g} s" if first - t[0] > t[-1] - last else f"from={last + 1.0:.6g} s"
+    return [Line("rest", "odd", text, f'--map "{keep}"')]
 
 
 def repeats(imu: ImuRecord) -> list[Line]:
@@ -146,113 +181,123 @@ _GRAVITIES = (
 )
 
 
-def force(imu: ImuRecord) -> list[Line]:
-    """The size of gravity: rates or increments, and the unit of the accelerometer."""
-    size, dt = magnitude(imu), imu.dt
-    if 0.9 * G < size < 1.1 * G:
-        kind = "increments" if imu.kind == "increment" else "rates"
-        level: Level = "ok" if 0.98 * G < size < 1.02 * G else "odd"
-        return [
-            Line("specific force", level, f"|f| is {size:.4g} m/s^2 (median of 1-s means), {kind} in the declared unit")
-        ]
-    if imu.kind != "increment" and near(size, G * dt, 0.15):
-        return [
-            Line(
-                "specific force",
-                "wrong",
-                f"|f| is {size:.4g} = 9.8 x {dt:.4g} s: the rows are increments, not rates",
-                '--map "kind=increment"',
-            )
-        ]
-    if imu.kind == "increment" and near(size * dt, G, 0.15):
-        return [
-            Line(
-                "specific force",
-                "wrong",
-                f"|f| x dt is {size * dt:.4g}: the rows are rates, not increments",
-                '--map "kind=sample"',
-            )
-        ]
-    for wanted, unit, what in _GRAVITIES:
-        if near(size, wanted, 0.1):
-            return [
-                Line(
-                    "specific force",
-                    "wrong",
-                    f"|f| is {size:.4g}, expected 9.8 m/s^2; {what}",
-                    f'--map "accel_unit={unit}"',
-                )
-            ]
-    if size < 3.0:
-        return [
-            Line("specific force", "wrong", f"|f| is {size:.3g} m/s^2, expected 9.8: gravity was removed, which no navigation filter undoes",
-                 "record the accelerometer with gravity (TotalAcceleration, AccelerometerUncalibrated)")
-        ]  # fmt: skip
-    if 0.75 * G < size < 1.35 * G:
-        return [
-            Line(
-                "specific force",
-                "odd",
-                f"|f| is {size:.4g} m/s^2, expected 9.8: scale factor, or a manoeuvre all the time",
-            )
-        ]
-    scale = f"{G / size:.4g} m/s^2"
-    return [
-        Line(
-            "specific force",
-            "wrong",
-            f"|f| is {size:.4g}, expected 9.8 m/s^2; one count would be {scale}",
-            f'--map "accel_unit={scale}"',
-        )
-    ]
-
-
-def rates(imu: ImuRecord, turn: Turn | None, unstated: bool) -> list[Line]:
-    """The unit of the gyroscope, from the course of the fixes or from what no gyroscope does.
+def force(imu: ImuRecord, explained: bool) -> list[Line]:
+    """The size of the specific force: rates or increments, and the unit of the accelerometer.
 
     Parameters
     ----------
     imu : ImuRecord
-    turn : Turn, optional
-        Course of the fixes on the turn of the gyroscope.
+    explained : bool
+        Whether the motion of the fixes agrees with it: then any size is right.
+    """
+    size, dt = magnitude(imu), imu.dt
+    kind = "increments" if imu.kind == "increment" else "rates"
+    said = f"|f| is {size:.4g} m/s^2 (median of 1-s means), {kind} in the declared unit"
+    if explained:
+        return [Line("specific force", "ok", f"{said}, as the motion of the fixes asks for")]
+    if 0.9 * G < size < 1.1 * G:
+        return [Line("specific force", "ok" if 0.98 * G < size < 1.02 * G else "odd", said)]
+    if imu.kind != "increment" and near(size, G * dt, 0.15):
+        text = f"|f| is {size:.4g} = 9.8 x {dt:.4g} s: the rows are increments, not rates"
+        return [Line("specific force", "wrong", text, '--map "kind=increment"')]
+    if imu.kind == "increment" and near(size * dt, G, 0.15):
+        text = f"|f| x dt is {size * dt:.4g}: the rows are rates, not increments"
+        return [Line("specific force", "wrong", text, '--map "kind=sample"')]
+    fits = sorted((abs(np.log(size / wanted)), unit, what) for wanted, unit, what in _GRAVITIES)
+    if fits[0][0] < np.log1p(0.1):
+        text = f"|f| is {size:.4g}, expected 9.8 m/s^2; {fits[0][2]}"
+        return [
+            Line("specific force", "wrong", text, f'--map "accel_unit={fits[0][1]}{" s" * (imu.kind == "increment")}"')
+        ]
+    if size < 3.0:
+        return [Line("specific force", "wrong", f"|f| is {size:.3g} m/s^2, expected 9.8: gravity was removed, which no navigation filter undoes",
+                     "record the accelerometer with gravity (TotalAcceleration, AccelerometerUncalibrated)")]  # fmt: skip
+    if 0.5 * G < size < MANOEUVRE * G:
+        text = f"|f| is {size:.4g} m/s^2, expected 9.8: scale factor, or a manoeuvre all the time"
+        return [Line("specific force", "odd", text)]
+    scale = f"{G / size:.4g} m/s^2"
+    text = f"|f| is {size:.4g}, expected 9.8 m/s^2; one count would be {scale} at rest"
+    power = 2.0 ** round(np.log2(size))
+    if power >= 1024.0 and near(size, power, 0.03):
+        text, scale = f"|f| is {size:.5g}: counts of which {power:.0f} are 1 g", f"{G_STANDARD / power:.9g} m/s^2"
+    return [Line("specific force", "wrong", text, f'--map "accel_unit={scale}"')]
+
+
+def columns(imu: ImuRecord) -> list[Line]:
+    """Columns that hold no signal: one value throughout, a rail, a value that stays, rates that no gyroscope measures, rows in reversed blocks."""
+    out = []
+    for sensor, block in (("gyroscope", imu.gyro), ("accelerometer", imu.accel)):
+        for axis, values in zip("xyz", block.T, strict=True):
+            name = f"{axis} of the {sensor}"
+            low, high = float(values.min()), float(values.max())
+            if low == high:
+                out.append(
+                    Line("columns", "wrong", f"{name} is {low:.4g} in every row: a dead axis, or another column")
+                )
+                continue
+            for edge in (low, high):
+                inside = values[values != edge]
+                at, beside = (
+                    values.size - inside.size,
+                    int(np.sum(inside == (inside.min() if edge == low else inside.max()))),
+                )
+                if at >= RAIL_ROWS and at > RAIL_SHARE * values.size and at > RAIL_OVER * beside:
+                    text = f"{name} is at {edge:.5g} in {at} rows ({at / values.size:.1%}), its extreme: saturated, or clipped"
+                    out.append(Line("columns", "odd", text))
+    rates = imu.rates()[:, :3]
+    mean = np.abs(np.median(rates, axis=0))
+    spun = int(np.argmax(mean))
+    if mean[spun] > SPIN and np.std(rates[:, spun]) < 0.2 * mean[spun]:
+        text = f"{'xyz'[spun]} of the gyroscope stays about {mean[spun]:.3g} rad/s: no rate of a vehicle, another column (a temperature?)"
+        out.append(Line("columns", "wrong", text))
+    same = imu.repeated()
+    if same.any():
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
+        runs = edges[1::2] - edges[::2]
+        longest = int(np.argmax(runs))
+        seconds = float(runs[longest] * imu.dt)
+        if seconds > FROZEN:
+            at_s = float(imu.t[edges[2 * longest]] - imu.t[0])
+            out.append(
+                Line(
+                    "columns",
+                    "odd",
+                    f"all six values stay the same for {seconds:.3g} s, {at_s:.4g} s after the start: frozen",
+                )
+            )
+    return out + _blocks(imu)
+
+
+def _blocks(imu: ImuRecord) -> list[Line]:
+    """Rows that come in blocks of turned order: steps are larger between blocks than inside, every so many rows."""
+    values = np.hstack(
+        [imu.gyro / max(float(np.std(imu.gyro)), 1e-300), imu.accel / max(float(np.std(imu.accel)), 1e-300)]
+    )
+    step = np.minimum((np.diff(values[:BLOCK_ROWS], axis=0) ** 2).sum(axis=1), 10.0)
+    for width in range(2, 65):
+        n = step.size // width
+        if n < 200:
+            break
+        by = step[: n * width].reshape(n, width)
+        mean = by.mean(axis=0)
+        k = int(np.argmax(mean))
+        rest = np.delete(mean, k)
+        error = float(by[:, k].std() / np.sqrt(n))
+        if mean[k] > 1.5 * rest.max() and mean[k] - rest.mean() > 8.0 * error and rest.max() < 1.5 * rest.min():
+            text = f"steps between rows are {mean[k] / rest.mean():.2g} times as large every {width} rows: blocks of rows in another order"
+            return [Line("order of rows", "odd", text)]
+    return []
+
+
+def rates_alone(imu: ImuRecord, unstated: bool) -> list[Line]:
+    """The unit of the gyroscope without fixes that tell: rates that no vehicle and no sensor at rest has.
+
+    Parameters
+    ----------
+    imu : ImuRecord
     unstated : bool
         Whether the unit of the gyroscope was assumed because nobody states it.
     """
-    dt = imu.dt
-    if not believed(turn) or turn is None or turn.turned < np.deg2rad(0.5):
-        return _rates_alone(imu, unstated)
-    ratio = 1.0 / max(abs(turn.slope), 1e-12)
-    evidence = f"it turns {ratio:.4g} times as much as the course of the fixes ({turn.intervals} intervals, correlation {turn.correlation:.2f})"
-    if near(ratio, 1.0, NEAR):
-        return [Line("angular rate", "ok", evidence)]
-    level: Level = "wrong" if turn.ratio > REFUSES else "odd"
-    if near(ratio, 180 / np.pi):
-        return [
-            Line("angular rate", level, f"{evidence}: the values are in deg/s, not rad/s", '--map "gyro_unit=deg/s"')
-        ]
-    if near(ratio, np.pi / 180):
-        return [
-            Line("angular rate", level, f"{evidence}: the values are in rad/s, not deg/s", '--map "gyro_unit=rad/s"')
-        ]
-    if imu.kind != "increment" and near(ratio, dt):
-        return [
-            Line(
-                "angular rate",
-                level,
-                f"{evidence}: the rows are increments of {dt:.4g} s, not rates",
-                '--map "kind=increment"',
-            )
-        ]
-    if imu.kind == "increment" and near(ratio, 1.0 / dt):
-        return [Line("angular rate", level, f"{evidence}: the rows are rates, not increments", '--map "kind=sample"')]
-    for factor, unit in ((1000.0, "mrad/s"), (180e3 / np.pi, "mdps"), (180 / np.pi * 3600, "deg/h")):
-        if near(ratio, factor):
-            return [Line("angular rate", level, f"{evidence}: the values are in {unit}", f'--map "gyro_unit={unit}"')]
-    return [Line("angular rate", "odd", f"{evidence}; expected 1")]
-
-
-def _rates_alone(imu: ImuRecord, unstated: bool) -> list[Line]:
-    """Without fixes that turn: rates that no vehicle and no sensor at rest has."""
     rate = imu.rates()[:, :3]
     size = float(np.sqrt(np.median((rate**2).sum(axis=1))))
     tilt = _tilt_ratio(imu)
@@ -262,14 +307,17 @@ def _rates_alone(imu: ImuRecord, unstated: bool) -> list[Line]:
     if tilt is not None and near(tilt, np.pi / 180, 0.5):
         text = f"gravity turns {1 / tilt:.3g} times more in its axes than the gyroscope says: the values are in rad/s, not deg/s"
         return [Line("angular rate", "wrong", text, '--map "gyro_unit=rad/s"')]
+    if size > SPIN:
+        text = f"the median rate is {size:.3g} rad/s: counts, or another unit; say what one is worth (the setting gyro_unit, such as 0.0076 deg/s)"
+        return [Line("angular rate", "wrong", text)]
     noise = _fast_noise(rate) * np.sqrt(imu.dt)
-    if noise * 180 / np.pi * 60 > 20.0 and np.linalg.norm(np.mean(rate, axis=0)) < 1.0:
+    if noise * 180 / np.pi * 60 > 20.0:
         text = f"white noise of {np.rad2deg(noise) * 60:.3g} deg/sqrt(h) is more than a gyroscope has: deg/s?"
         return [Line("angular rate", "wrong" if unstated else "odd", text, '--map "gyro_unit=deg/s"')]
-    said = f"median size {size:.3g} rad/s ({np.rad2deg(size):.3g} deg/s); no turn of fixes to hold it against"
+    said = f"median size {size:.3g} rad/s ({np.rad2deg(size):.3g} deg/s); not checkable: no motion of fixes to hold it against"
     if tilt is not None and near(tilt, 1.0, 0.5):
         return [Line("angular rate", "ok", f"gravity turns in its axes as the gyroscope says (ratio {tilt:.2f})")]
-    return [Line("angular rate", "assumed" if unstated else "ok", said)]
+    return [Line("angular rate", "assumed", said)]
 
 
 def _fast_noise(values: Array) -> float:
@@ -307,7 +355,7 @@ def _tilt_ratio(imu: ImuRecord) -> float | None:
 _NAMES = {(0.0, 0.0, 0.0): "FRD", (180.0, 0.0, 0.0): "FLU", (180.0, 0.0, 90.0): "RFU"}
 
 
-def axes(imu: ImuRecord, push: Push | None, turned: bool) -> list[Line]:
+def axes(imu: ImuRecord, push: Push | None) -> list[Line]:
     """Where the sensor's axes point: up from gravity, forward from speeding up and turning.
 
     Parameters
@@ -315,8 +363,6 @@ def axes(imu: ImuRecord, push: Push | None, turned: bool) -> list[Line]:
     imu : ImuRecord
     push : Push or None
         What the fixes say.
-    turned : bool
-        Whether the turn of the fixes has the sign of the gyroscope's.
     """
     up, steady = up_of(imu)
     if steady < 0.9:

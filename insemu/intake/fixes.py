@@ -1,29 +1,31 @@
-"""The checks of fixes, alone and against the IMU."""
+"""The checks of fixes against the IMU and a reference."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insemu import earth
-from insemu.intake.card import Level, Line
-from insemu.intake.checks import NEAR, REFUSES, SQUARE, believed, mounting, near
+from insemu.intake.card import Line
+from insemu.intake.checks import NEAR, SQUARE, believed, mounting, near
+from insemu.intake.explained import DECLARED, FEWEST, Windows
 from insemu.intake.motion import (
     Push,
     Track,
     Turn,
-    every,
     positions_track,
     push_of,
-    scatter,
     thinned,
     turn_of,
+    turns,
     up_of,
     velocity_track,
 )
+from insemu.intake.receiver import RATIO, Agreement, agreement, swapped_track
+from insemu.intake.weighed import Turning, Weighing
 from insemu.records import GnssRecord, ImuRecord, Trajectory
 
 Array = NDArray[np.float64]
@@ -35,210 +37,8 @@ ARM_NATS = 6.0
 #: Constant between fixes and reference, m, above which it is named, and the fewest fixes: no antenna is so far from an IMU, no standalone fix is off
 #: that far on the mean.
 FAR_APART, FEWEST_APART = 15.0, 20
-#: Stretches over which heights are held against the vertical velocity, s: a climb of 0.3 m/s is 6 m there, and a receiver's slow errors are less.
-CLIMB_S = 20.0
-#: Correlation of the changes of height with what the vertical velocity says below which its sign is wrong, and how near to 1 their ratio must be.
-OPPOSED, OPPOSED_RATIO = -0.8, 0.3
-
-
-@dataclass(frozen=True)
-class Agreement:
-    """How velocities fit the motion of the positions: the best reading of both, and whether it is not the declared one.
-
-    Parameters
-    ----------
-    scale, residual : float
-        Of the declared reading: motion of the positions over the velocities, and the share of it that is left, as squares.
-    best : str
-    best_scale, best_residual : float
-    climbing : float
-        Correlation of the changes of height with those that the velocities say; NaN where the heights hardly change otherwise than by
-        their noise, or where their size is another.
-    """
-
-    scale: float
-    residual: float
-    best: str
-    best_scale: float
-    best_residual: float
-    climbing: float = np.nan
-
-
-_READINGS: dict[str, Callable[[Array], Array]] = {
-    "as declared": lambda v: v,
-    "velocity=enu": lambda v: v[:, [1, 0, 2]] * [1.0, 1.0, -1.0],
-}
-
-
-def agreement(gnss: GnssRecord) -> Agreement | None:
-    """Hold the receiver's velocities against the motion of its positions; None where they hardly move."""
-    own = velocity_track(gnss)
-    if own is None:
-        return None
-    moved, swapped = positions_track(gnss), _swapped_track(gnss)
-    floor = 3.0 * float(scatter(gnss)[:2].max()) / moved.step
-    out: dict[str, tuple[float, float]] = {}
-    for name, read in _READINGS.items():
-        out[name] = _fit(moved, own, read(own.velocity), floor)
-    if swapped is not None:
-        out["latlon=swapped"] = _fit(swapped, own, own.velocity, floor)
-    if not out or not np.isfinite(out["as declared"][1]):
-        return None
-    best = min(out, key=lambda n: out[n][1])
-    declared = out["as declared"]
-    return Agreement(*declared, best, *out[best], _climbing(gnss, own))
-
-
-def _climbing(gnss: GnssRecord, own: Track) -> float:
-    """Correlation of changes of height over stretches with those that the velocities say, NaN where it tells nothing."""
-    good = np.isfinite(gnss.llh).all(axis=1)
-    t, h = gnss.t[good], gnss.llh[good, 2]
-    if t.size < 9:
-        return np.nan
-    edges = t[every(t, CLIMB_S)]
-    if edges.size < 9:
-        return np.nan
-    up = -own.velocity[:, 2]
-    said = np.concatenate([[0.0], np.cumsum(0.5 * (up[1:] + up[:-1]) * np.diff(own.t))])
-    seen, said = (np.diff(np.interp(edges, at, x)) for at, x in ((t, h), (own.t, said)))
-    noise = max(1.0, 3.0 * float(scatter(gnss)[2]))
-    if min(float(np.mean(seen**2)), float(np.mean(said**2))) < noise**2:
-        return np.nan
-    product, power = float(seen @ said), float(said @ said)
-    both = product / float(np.sqrt(power * (seen @ seen)))
-    return both if near(abs(product) / power, 1.0, OPPOSED_RATIO) else np.nan
-
-
-def _fit(moved: Track, own: Track, velocity: Array, floor: float) -> tuple[float, float]:
-    """Scale of the positions' level motion on velocities, and the share of it that is left."""
-    if moved.t.size < 8:
-        return 1.0, np.nan
-    b = np.column_stack([np.interp(moved.t, own.t, velocity[:, k]) for k in range(2)])
-    a = moved.velocity[:, :2]
-    power, have = float((a**2).sum()), float((b**2).sum())
-    noise = max(1.0, floor)  # m/s: slower than that, noise is compared with noise
-    if power < noise**2 * len(a) or have <= 0.0:
-        return 1.0, np.nan
-    scale = float((a * b).sum()) / have
-    keep = np.abs(a - scale * b).max(axis=1)
-    keep = keep <= max(float(np.quantile(keep, 0.95)), 1e-9)
-    scale = float((a * b)[keep].sum()) / max(float((b**2)[keep].sum()), 1e-300)
-    return scale, float(((a - scale * b)[keep] ** 2).sum() / max(float((a**2)[keep].sum()), 1e-300))
-
-
-def _swapped_track(gnss: GnssRecord) -> Track | None:
-    if not (np.abs(gnss.llh[:, 1][np.isfinite(gnss.llh[:, 1])]) <= np.pi / 2).all():
-        return None
-    return positions_track(GnssRecord(gnss.t, gnss.llh[:, [1, 0, 2]]))
-
-
-_MEANT = {
-    "velocity=enu": "the velocities are east, north, up",
-    "latlon=swapped": "latitude and longitude are swapped",
-}
-_SPEEDS = (
-    (1852.0 / 3600.0, "knots"),
-    (1.0 / 3.6, "km/h"),
-    (0.44704, "mph"),
-    (0.3048, "ft/s"),
-    (1e-3, "mm/s"),
-    (1e-2, "cm/s"),
-)
-
-
-def fixes(gnss: GnssRecord, found: Agreement | None, unstated: bool) -> list[Line]:
-    """Place, rate, order and unit of the positions; frame and unit of the velocities; standard deviations.
-
-    Parameters
-    ----------
-    gnss : GnssRecord
-    found : Agreement, optional
-        Of :func:`agreement`.
-    unstated : bool
-        Whether the unit or the frame of the velocities was assumed because nobody states it.
-    """
-    good = np.isfinite(gnss.llh).all(axis=1)
-    llh = gnss.llh[good] * [180 / np.pi, 180 / np.pi, 1.0]
-    if not len(llh):
-        return [Line("fixes", "wrong", "no row holds a position")]
-    lat, lon, h = np.median(llh, axis=0)
-    dt = float(np.median(np.diff(gnss.t))) if len(gnss) > 1 else np.nan
-    longest = float(np.diff(gnss.t).max()) if len(gnss) > 1 else 0.0
-    text = f"{len(llh)} at {1 / dt:.3g} Hz about {abs(lat):.4f} {'NS'[int(lat < 0)]}, {abs(lon):.4f} {'EW'[int(lon < 0)]}, {h:.0f} m"
-    text += f", the longest pause {longest:.3g} s" if longest > 3 * dt else ""
-    out = [Line("fixes", "ok", text)]
-    extent = np.abs(earth.position_difference(gnss.llh[good], np.median(gnss.llh[good], axis=0)))[:, :2].max()
-    if abs(lat) < 1.58 and abs(lon) < 3.15 and (abs(lat) > 1e-3 or abs(lon) > 1e-3):
-        if found is not None and near(found.scale, np.pi / 180, 0.1) and found.residual < 0.2:
-            out.append(_radians(f"their motion is {1 / found.scale:.1f} times slower than their velocities"))
-        else:
-            where = f"all within {abs(lat):.2f}, {abs(lon):.2f} deg: radians read as degrees, or really off Ghana"
-            out.append(Line("fixes", "odd", where, '--map "pos_unit=rad"'))
-    elif not -500.0 < h < 2.0e4:
-        out.append(Line("fixes", "odd", f"a height of {h:.4g} m; is it in mm or km?"))
-    moved = positions_track(gnss)
-    jumps = int((np.linalg.norm(moved.velocity[:, :2], axis=1) > 1000.0).sum())
-    if jumps:
-        out.append(Line("fixes", "odd", f"{jumps} step(s) faster than 1000 m/s over {extent / 1e3:.4g} km"))
-    out.extend(_velocities(gnss, found, unstated))
-    out.extend(_spreads(gnss))
-    return out
-
-
-def _radians(evidence: str) -> Line:
-    return Line("fixes", "wrong", f"{evidence}: latitude and longitude are in rad, not deg", '--map "pos_unit=rad"')
-
-
-def _velocities(gnss: GnssRecord, found: Agreement | None, unstated: bool) -> list[Line]:
-    if gnss.vel_ned is None:
-        return [Line("velocity", "ok", "the fixes have positions only")]
-    if found is None:
-        return [
-            Line(
-                "velocity",
-                "assumed" if unstated else "ok",
-                "north, east, down; too little motion to hold it against the positions",
-            )
-        ]
-    left = f"{100 * np.sqrt(found.residual):.0f} % of the motion of the positions is left"
-    if found.best != "as declared" and found.best_residual < 0.3 * found.residual and found.residual > 0.1:
-        what = _MEANT[found.best]
-        if near(abs(found.best_scale), 1.0, NEAR):
-            text = f"{left} by the declared velocities, {100 * np.sqrt(found.best_residual):.0f} % if {what}"
-            return [Line("velocity", "wrong", text, f'--map "{found.best}"')]
-    if found.residual < 0.2 and not near(found.scale, 1.0, NEAR):
-        for factor, unit in _SPEEDS:
-            if near(found.scale, factor, 0.08):
-                text = f"the positions move {found.scale:.4g} times the velocities: they are in {unit}"
-                return [Line("velocity", "wrong", text, f'--map "vel_unit={unit}"')]
-        return [Line("velocity", "odd", f"the positions move {found.scale:.4g} times the velocities")]
-    if found.residual < 0.3 and found.climbing < OPPOSED:
-        text = f"the heights rise where the declared velocities point down (correlation {found.climbing:.2f}): the third component is up"
-        return [Line("velocity", "wrong", text, '--map "velocity=neu"')]
-    level: Level = "ok" if found.residual < 0.3 else "odd"
-    return [Line("velocity", level, f"it agrees with the motion of the positions: {left}")]
-
-
-def _spreads(gnss: GnssRecord) -> list[Line]:
-    if gnss.pos_std_ned is None:
-        spread = scatter(gnss)
-        if not spread.any():
-            said = "the fixes state no standard deviations; the scenario's gnss.position_sigma is taken"
-            return [Line("sigma", "assumed", said)]
-        return [
-            Line("sigma", "assumed",
-                 f"the fixes state no standard deviations; from one to the next they scatter by {spread[:2].max():.2g} m level and "
-                 f"{spread[2]:.2g} m in height, and slow errors come on top: give gnss.position_sigma, no less than that")
-        ]  # fmt: skip
-    spread = np.nanmedian(gnss.pos_std_ned, axis=0)
-    level: Level = "odd" if spread.max() > 200.0 or spread.min() < 5e-4 else "ok"
-    return [
-        Line(
-            "sigma",
-            level,
-            f"stated standard deviations of {spread[:2].max():.3g} m level, {spread[2]:.3g} m in height (median)",
-        )
-    ]
+#: Correlation from which the course follows the heading.
+FOLLOWS = 0.9
 
 
 # --------------------------------------------------------------------------------------------------------- IMU against fixes
@@ -357,33 +157,61 @@ def offset(turn: Turn | None) -> list[Line]:
     return [Line("clock", "odd", text, f'--map "gnss_shift={turn.shift:+.2f} s"')]
 
 
-def mirrored(turn: Turn | None, has_velocity: bool) -> list[Line]:
-    """A turn of the wrong sign: latitude and longitude swapped, or left-handed axes."""
-    if turn is None or not believed(turn) or turn.correlation > 0.0:
-        return []
-    level: Level = "wrong" if turn.ratio > REFUSES else "odd"
-    text = f"the fixes turn the other way than the gyroscope (correlation {turn.correlation:.2f}): "
-    if has_velocity:
-        text += "an axis of the gyroscope has the wrong sign, or the accelerometer the sign of gravity instead of specific force"
-        return [
-            Line(
-                "axes",
-                level,
-                f"{text} (name the columns of the file, the wrong one with a minus)",
-                '--map "gyro=gx gy -gz"',
-            )
-        ]
-    text += "latitude and longitude are swapped, or an axis of the gyroscope has the wrong sign"
-    return [Line("axes", level, text, '--map "latlon=swapped"')]
+def weighed(
+    imu: ImuRecord, gnss: GnssRecord, found: Agreement | None, units: Mapping[str, str], turn: Turn | None
+) -> tuple[list[Line], bool]:
+    """What all readings of the IMU say beside the fixes, and whether the declared one stands.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+    gnss : GnssRecord
+    found : Agreement, optional
+        Of :func:`agreement`.
+    units : mapping of str to str
+        Declared units of ``gyro`` and ``accel``.
+    turn : Turn, optional
+        What turns say of the clocks.
+
+    Returns
+    -------
+    list of Line, bool
+        No line where the motion tells nothing.
+    """
+    track = best_track(gnss, found)
+    if track.velocity.size and np.isnan(track.velocity[:, 2]).any():  # of speed and course: heights tell how it climbs
+        place = positions_track(gnss)
+        up = np.interp(track.t, place.t, place.velocity[:, 2]) if place.t.size else 0.0
+        track = replace(track, velocity=np.column_stack([track.velocity[:, :2], np.broadcast_to(up, track.t.shape)]))
+    windows = Windows(imu, track)
+    if windows.count < FEWEST:
+        return [], True
+    turning = None
+    if turn is not None and believed(turn) and abs(turn.correlation) > FOLLOWS:
+        shift = turn.shift if turn.gain_nats > OFFSET_NATS else 0.0
+        turning = Turning(turns(imu, track, shift), up_of(imu)[0], shift, turn.slope)
+    others = {}
+    if track.span and (swapped := swapped_track(gnss)) is not None and Windows(imu, swapped).count >= FEWEST:
+        others["latlon=swapped"] = Windows(imu, swapped).explain()
+    return Weighing(windows, imu.kind, imu.dt, units, track.span == 0.0, turning, others).lines()
 
 
-def size_of_motion(push: Push | None, gnss: GnssRecord) -> list[Line]:
-    """Positions in radians that were read as degrees, where no velocity says so: the accelerometer does."""
-    if push is None or not believed(push) or gnss.vel_ned is not None:
-        return []
-    if near(push.gain, np.pi / 180, 0.5):
-        return [_radians(f"their motion is {1 / push.gain:.0f} times smaller than the accelerometer says")]
-    return []
+def upright(imu: ImuRecord, gnss: GnssRecord, found: Agreement | None) -> float:
+    """Nats that the IMU gives to the declared vertical velocity over its opposite; 0 where it does not have to tell.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+    gnss : GnssRecord
+    found : Agreement, optional
+    """
+    track = best_track(gnss, found)
+    if found is None or track.span or not near(-found.climbing, 1.0, RATIO):
+        return 0.0
+    windows = Windows(imu, track)
+    if windows.count < FEWEST:
+        return 0.0
+    return windows.explain().nats - windows.explain(replace(DECLARED, down=-1.0)).nats
 
 
 def best_track(gnss: GnssRecord, found: Agreement | None) -> Track:

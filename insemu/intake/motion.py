@@ -7,7 +7,7 @@ yaw). All are regressions over intervals of about a second, so that they need no
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,11 +29,12 @@ MOST = 1500
 
 @dataclass(frozen=True)
 class Track:
-    """Velocities over the ground at times, from the receiver or from differences of positions a step (s) apart."""
+    """Velocities over the ground at times, a step (s) apart or closer, each the mean over a span (s): 0 of a receiver's own."""
 
     t: Array
     velocity: Array
     step: float = STEP
+    span: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,8 @@ def positions_track(gnss: GnssRecord | Trajectory) -> Track:
     dt = np.diff(t)
     close = dt <= max(3.0 * step, 2.5 * float(np.median(dt)) if dt.size else 0.0)
     moved = earth.position_difference(llh[1:], llh[:-1])
-    return Track((0.5 * (t[1:] + t[:-1]))[close], (moved / dt[:, None])[close], step)
+    span = float(np.median(dt)) if dt.size else step
+    return Track((0.5 * (t[1:] + t[:-1]))[close], (moved / dt[:, None])[close], step, span)
 
 
 def every(t: Array, step: float) -> NDArray[np.intp]:
@@ -191,7 +193,7 @@ def thinned(track: Track) -> Track:
     if track.t.size < 2:
         return track
     keep = every(track.t, track.step)
-    return Track(track.t[keep], track.velocity[keep], track.step)
+    return replace(track, t=track.t[keep], velocity=track.velocity[keep])
 
 
 def turn_of(imu: ImuRecord, track: Track) -> Turn | None:
@@ -257,6 +259,27 @@ def turn_of(imu: ImuRecord, track: Track) -> Turn | None:
     return Turn(slope, correlation, float(fine[k]), float(gain), float(beside), count, turned)
 
 
+def turns(imu: ImuRecord, track: Track, shift: float) -> tuple[Array, Array, Array]:
+    """Changes of course (n,) and the integrals of the rates over the same intervals (n, 3), both times the speed, m/s; the intervals, s times m/s.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+    track : Track
+    shift : float
+        s to add to the track's stamps.
+    """
+    track = thinned(track)
+    rows = _intervals(track, imu, abs(shift) + 0.1)
+    course = np.arctan2(track.velocity[:, 1], track.velocity[:, 0])
+    change = (np.diff(course)[rows] + np.pi) % (2.0 * np.pi) - np.pi
+    sums, when = _cumulated(imu)[0], track.t + shift
+    angle = np.diff(_at(imu.t, sums, when), axis=0)[rows]
+    speed = np.hypot(track.velocity[:, 0], track.velocity[:, 1])
+    weight = np.minimum(np.minimum(speed[1:], speed[:-1])[rows], 10.0 * SLOWEST)
+    return change * weight, angle * weight[:, None], np.diff(track.t)[rows] * weight
+
+
 def _partial(x: Array, y: Array, other: Array, keep: NDArray[np.bool_]) -> tuple[float, float]:
     """Slope of y on x and their correlation, beside another regressor."""
     x, y, other = x[keep], y[keep], other[keep]
@@ -298,7 +321,7 @@ def push_of(imu: ImuRecord, track: Track, shift: float = 0.0) -> Push | None:
         s to add to the track's stamps.
     """
     track = thinned(track)
-    track = Track(track.t + shift, track.velocity, track.step)
+    track = replace(track, t=track.t + shift)
     rows = _intervals(track, imu, 0.0)
     if rows.size < 8:
         return None

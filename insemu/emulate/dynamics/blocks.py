@@ -72,13 +72,15 @@ class Blocks:
         self.spectrum, self.hop, self.rate, self.seed, self.mount = spectrum, hop, rate, seed, mount
         levels = spectrum.levels
         bands = 1 if levels is None else levels.edges.size - 1
+        self.own: NDArray[np.int64]
+        self.adds: NDArray[np.int64]
         self.own, self.adds = (
             (np.arange(6), np.arange(6)) if levels is None else (np.tile(OWN, bands), np.tile(ADDS, bands))
         )
         if levels is not None:  # levels are sorted by axes, then by bands
             self.own = self.own * bands + np.repeat(np.arange(bands), OWN.size)
         self._held: OrderedDict[int, tuple[Complex, dict[int, Array]]] = OrderedDict()
-        self._factors: dict[int, Complex] = {}
+        self._factors: dict[int, tuple[Complex, NDArray[np.int64]]] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         """For another process: what was drawn is drawn there again."""
@@ -101,15 +103,16 @@ class Blocks:
         low, high = np.searchsorted(f, self.spectrum.frequencies[[0, -1]])
         return f[max(int(low), 1) : int(high) + 1]
 
-    def _factor(self, regime: int) -> Complex:
-        """From white numbers to coefficients, (bins, 6, 6), of a regime."""
+    def _factor(self, regime: int) -> tuple[Complex, NDArray[np.int64]]:
+        """From white numbers to coefficients, (channels, bins, 6), of a regime; and where they are not zero (channels, 3)."""
         if regime not in self._factors:
             f = self._frequencies
             factor = self.spectrum.factors(regime, f)
             made = self._columns(factor, f) if self.spectrum.levels is None else self._banded(factor, f)
-            self._factors[regime] = np.ascontiguousarray(
-                made * np.sqrt(0.5 * self.hop * self.rate)
-            )  # of one-sided densities
+            made = np.ascontiguousarray(np.swapaxes(made, 0, 1) * np.sqrt(0.5 * self.hop * self.rate))  # one-sided
+            bins, columns = (made != 0.0).any(axis=2), (made != 0.0).any(axis=1)
+            first, last, end = (np.argmax(x, axis=1) for x in (bins, bins[:, ::-1], columns[:, ::-1]))
+            self._factors[regime] = made, np.stack([first, bins.shape[1] - last, 6 - end], axis=1)
         return self._factors[regime]
 
     def _columns(self, factor: Complex, f: Array) -> Complex:
@@ -131,7 +134,8 @@ class Blocks:
         return np.concatenate(out, axis=1)
 
     @cached_property
-    def _window(self) -> Array:
+    def window(self) -> Array:
+        """Of a block (2 hop,), not yet laid over its coefficients."""
         return np.asarray(np.sin(np.pi * (np.arange(2 * self.hop) + 0.5) / (2 * self.hop)))
 
     def half(self, number: int, regime: int, which: int) -> Array:
@@ -154,18 +158,18 @@ class Blocks:
             from scipy.fft import irfft
 
             bins = np.zeros((self.adds.size, self.hop + 1), complex)
-            _through(self._factor(regime), white, round(self._frequencies[0] * 2 * self.hop / self.rate), bins)
+            factor, extent = self._factor(regime)
+            _through(factor, extent, white, round(self._frequencies[0] * 2 * self.hop / self.rate), bins)
             held[regime] = irfft(bins, 2 * self.hop, axis=1, overwrite_x=True)
-            held[regime] *= self._window
         return held[regime][:, which * self.hop : (which + 1) * self.hop]
 
 
 @njit(cache=True, nogil=True)
-def _through(factor: Complex, white: Complex, first: int, bins: Complex) -> None:
+def _through(factor: Complex, extent: NDArray[np.int64], white: Complex, first: int, bins: Complex) -> None:
     """Bins (channels, n) from the ``first`` on: factors times white numbers of unit variance in both parts."""
-    for k in range(len(factor)):
-        for i in range(len(bins)):
+    for i in range(len(bins)):
+        for k in range(extent[i, 0], extent[i, 1]):
             total = 0.0j
-            for j in range(6):
-                total += factor[k, i, j] * white[k, j]
+            for j in range(extent[i, 2]):
+                total += factor[i, k, j] * white[k, j]
             bins[i, first + k] = total

@@ -127,9 +127,10 @@ class BodyMotion:
                 rises = smoothstep((share - _NO_SHARE) / (9.0 * _NO_SHARE))
                 levels[:, column] = share * rises * swung[r.swing_sigma, r.swing_time]
             levels, gains = self._finely(levels), self._finely(self._gains(t))
+            own, adds, window = self.blocks.own, self.blocks.adds, self.blocks.window
             for column, k in enumerate(drawn):
                 late, early = self.blocks.half(number - 1, k, 1), self.blocks.half(number, k, 0)
-                _add_noise(body, levels[:, column], gains, self.blocks.own, self.blocks.adds, late, early)
+                _add_noise(body, levels[:, column, None] * gains, own, adds, window, late, early)
         for k, line in enumerate(self.spectrum.lines):
             self._add(line, k, number, shares, body)
         slipped = self._slipped(number, t, inside, rpy)
@@ -267,12 +268,13 @@ def _cubic(slow: Array, every: int, out: Array) -> None:
 
 @njit(cache=True, nogil=True)
 def _add_noise(
-    body: Array, level: Array, gains: Array, own: NDArray[np.int64], adds: NDArray[np.int64], late: Array, early: Array
+    body: Array, gains: Array, own: NDArray[np.int64], adds: NDArray[np.int64], window: Array, late: Array, early: Array
 ) -> None:
     """Add the second half of one block and the first of the next, (channels, n) each: gain of its ``own``, column to which it ``adds``."""
     for i in range(len(body)):
         for j in range(len(adds)):
-            body[i, adds[j]] += level[i] * gains[i, own[j]] * (late[j, i] + early[j, i])
+            both = window[i] * early[j, i] + window[len(body) + i] * late[j, i]
+            body[i, adds[j]] += gains[i, own[j]] * both
 
 
 @njit(cache=True, nogil=True)

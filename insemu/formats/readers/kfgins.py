@@ -15,10 +15,12 @@ from insemu.formats.columns import ColumnMap, parse_map
 from insemu.formats.table import Probe, Reader, Table, read_delimited, register
 
 _IMU = parse_map("time=sow[s], gyro=dtheta_*[rad], accel=dvel_*[m/s], kind=increment")
+_RATES = parse_map("time=sow[s], gyro=dtheta_*, accel=dvel_*[m/s^2], kind=sample")
 _POS = parse_map("time=sow[s], lat=lat[deg], lon=lon[deg], height=h[m], pos_std_ned=std_n std_e std_d[m]")
 _NAV = parse_map("time=sow[s], lat=lat[deg], lon=lon[deg], height=h[m], vel_ned=vn ve vd[m/s], rpy=roll pitch yaw[deg]")
 _NAMES: Mapping[str, tuple[tuple[str, ...], ColumnMap]] = {
     "imu": (("sow", "dtheta_x", "dtheta_y", "dtheta_z", "dvel_x", "dvel_y", "dvel_z"), _IMU),
+    "rates": (("sow", "dtheta_x", "dtheta_y", "dtheta_z", "dvel_x", "dvel_y", "dvel_z"), _RATES),
     "pos": (("sow", "lat", "lon", "h", "std_n", "std_e", "std_d"), _POS),
     "nav": (("week", "sow", "lat", "lon", "h", "vn", "ve", "vd", "roll", "pitch", "yaw"), _NAV),
 }
@@ -57,11 +59,20 @@ def _what(probe: Probe) -> str:
         return "nav"
     if rows.shape[1] != 7:
         return ""
-    if probe.suffix == ".pos" and dt > 0.02 and (np.abs(rows[:, 1]) <= 90).all() and (rows[:, 4:] > 0).all():
+    place = (
+        (np.abs(rows[:, 1]) <= 90).all()
+        and (np.abs(rows[:, 2]) <= 360).all()
+        and (rows[:, 1:3].std(axis=0) < 1.0).all()
+    )
+    if dt > 0.02 and place and (rows[:, 4:] >= 0).all() and (probe.suffix == ".pos" or (rows[:, 1:4] != 0.0).all()):
         return "pos"
     force = float(np.median(np.linalg.norm(rows[:, 4:7], axis=1))) / dt
     angle = float(np.median(np.linalg.norm(rows[:, 1:4], axis=1)))
-    return "imu" if 7.0 < force < 14.0 and dt <= 0.1 and angle < 0.5 else ""
+    if 7.0 < force < 14.0 and dt <= 0.1 and angle < 0.5:
+        return "imu"
+    return (
+        "rates" if 7.0 < force * dt < 14.0 and dt <= 0.1 else ""
+    )  # the layout with another content (KF-GINS, issues 12 and 23)
 
 
 def _read(path: Path, settings: Mapping[str, str]) -> list[Table]:
