@@ -16,7 +16,7 @@ from scipy.signal import butter, group_delay, lfilter, sosfilt
 
 from benchmarks.trial.run import Job
 from insemu import earth
-from insemu.effects import EFFECTS, EffectUse, FixGeometry, Motion, catalogue_columns, effect_of
+from insemu.effects import EFFECTS, Column, EffectUse, FixGeometry, Motion, catalogue_columns, effect_of
 from insemu.emulate import built_in, corrupt, gnss_fixes, ideal_imu
 from insemu.errors import InputError
 from insemu.filters import FilterOptions, FilterResult, InitialSigma, run_filter
@@ -109,8 +109,8 @@ def nominal_run(kind: str = "increment") -> tuple[FilterResult, Motion, Loop]:
 #: The number that this flight shows best, where that is not the last.
 SHOWN = {"misalignment": "value_yx", "temperature_misalignment": "value_yx"}
 #: Seen elsewhere: this flight is level (tests/test_effects_velocity_filter.py), a filtered position has several columns
-#: (tests/test_effects_position_filter.py), and a drift runs with the stamps (below).
-ELSEWHERE = ("gnss_velocity_filter", "gnss_position_filter", "clock_drift")
+#: (tests/test_effects_position_filter.py); a drift runs with the stamps, and an expression has an equation (below).
+ELSEWHERE = ("gnss_velocity_filter", "gnss_position_filter", "clock_drift", "expression")
 #: One number of every effect with columns, on every sensor: effect, sensor, label.
 SIGNATURES = [
     (e.id, sensor, label)
@@ -129,11 +129,33 @@ def test_a_signature_is_the_finite_difference_of_the_whole_filter(name: str, sen
     parameter = effect.parameter(label.partition("_")[0])
     value = effect.scale(parameter.name, sensor) * SHARE.get(name, 1.0)
     numbers = tuple(value if own == label else 0.0 for own in parameter.labels(effect.axes))
+    (column,) = (c for c in catalogue() if (c.effect, c.sensor, c.label) == (name, sensor, label))
+    held_against_the_filter(column, EffectUse(name, sensor, {parameter.name: numbers}), value)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "equation"),
+    [
+        ("gyro", "z = rate_z * force_z"),
+        ("accel", "x = speed ** 2"),
+        ("accel", "y = rate_z * force_x"),
+        ("gnss", "east = speed * cos(heading)"),
+    ],
+)
+def test_the_signature_of_an_equation_is_the_finite_difference_too(sensor: str, equation: str) -> None:
+    (column,) = (c for c in catalogue() if (c.effect, c.sensor, c.axes) == ("expression", sensor, (equation,)))
+    held_against_the_filter(column, EffectUse("expression", sensor, {"value": (column.scale,)}, equation), column.scale)
+
+
+def catalogue() -> list[Column]:
+    result, motion, _ = nominal_run()
+    return catalogue_columns(motion, FixGeometry.of(motion, result.fixes.t, LEVER))
+
+
+def held_against_the_filter(column: Column, effect: EffectUse, value: float) -> None:
     result, motion, loop = nominal_run()
-    columns = catalogue_columns(motion, FixGeometry.of(motion, result.fixes.t, LEVER))
-    (column,) = (c for c in columns if (c.effect, c.sensor, c.label) == (name, sensor, label))
     G = columns_response(loop, motion, [column])
-    changed = flown(recording(EffectUse(name, sensor, {parameter.name: numbers})))
+    changed = flown(recording(effect))
     difference = np.einsum(
         "kij,kj->ki", loop.white, np.nan_to_num(changed.fixes.innovation - result.fixes.innovation)
     ).ravel()
