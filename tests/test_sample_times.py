@@ -192,7 +192,9 @@ def test_files_as_users_have_them_keep_every_row(name: str, rate: float, tmp_pat
     assert abs(1.0 / found.dt - rate) < 1e-3 and abs(found.t[-1] - found.t[0] - 199.99) < 2e-3
 
 
-@pytest.mark.parametrize(("share", "delay"), [(0.0, 0.005), (0.001, 0.005), (0.01, 0.002), (0.01, 0.005), (0.03, 0.005)])
+@pytest.mark.parametrize(
+    ("share", "delay"), [(0.0, 0.005), (0.001, 0.005), (0.01, 0.002), (0.01, 0.005), (0.03, 0.005)]
+)
 def test_losses_are_counted_among_stamps_of_reception(share: float, delay: float) -> None:
     """Delays of half an interval hide a lost sample from every step of its own; the likeliest sequence of losses does not miss it."""
     rng, n, interval = np.random.default_rng(5), 30_000, 0.01 * (1.0 + 3e-5)
