@@ -42,7 +42,8 @@ __version__ = "0.1.0"
 #: ``__init__.pyi``.
 _TOP = {
     **dict.fromkeys(
-        ("read", "fit", "select", "characterise", "run", "emulate", "find_gap", "solve", "plot", "load"), "api"
+        ("read", "examine", "fit", "select", "characterise", "run", "emulate", "find_gap", "solve", "plot", "load"),
+        "api",
     ),
     **dict.fromkeys(
         (

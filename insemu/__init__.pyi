@@ -3,6 +3,7 @@
 import insemu.noise as _noise
 from insemu.api import characterise as characterise
 from insemu.api import emulate as emulate
+from insemu.api import examine as examine
 from insemu.api import find_gap as find_gap
 from insemu.api import fit as fit
 from insemu.api import load as load

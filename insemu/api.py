@@ -7,16 +7,17 @@ Each takes a file, or what a file holds, and answers with results that print in 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, overload, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError
+from insemu.given import Axes, PandasTable, PolarsTable, Quantity, Signal, Table, file_of, si, signals
 from insemu.records import Recording, Series
 from insemu.shown import ByAxis
 
@@ -25,165 +26,71 @@ if TYPE_CHECKING:
     from insemu.fit import FitResult, Method, Ranking
     from insemu.fit.gmwm import Weighting
     from insemu.gap import GapReport, Nominal, StaticLog
+    from insemu.intake import Card
     from insemu.noise import NoiseModel, Process
     from insemu.scenario import Scenario
     from insemu.solve import Solution
     from insemu.variance import AxisReport
 
-
-@runtime_checkable
-class PandasTable(Protocol):
-    """A table of pandas; units stand in the names of its columns (``gx [deg/s]``), one of which is the time."""
-
-    def to_csv(self, path: str, *, index: bool) -> Any:
-        """Write the table."""
-
-    def reset_index(self) -> Any:
-        """The index as a column."""
-
-
-@runtime_checkable
-class PolarsTable(Protocol):
-    """A table of polars; units stand in the names of its columns (``gx [deg/s]``), one of which is the time."""
-
-    def write_csv(self, file: str) -> Any:
-        """Write the table."""
-
-
-#: A file, or what it holds.
-Table = PandasTable | PolarsTable
-#: What has axes: a log, several signals, a recording at rest.
-Axes = str | Path | PandasTable | PolarsTable | Sequence[Series] | Recording
-#: The same, or one signal; an array is one whose rate is given, or a column of times (s) and one of the signal.
-Signal = Axes | Series | NDArray[np.float64]
-Quantity = str | float
 Pattern = Literal["uniform", "log"]
 
 
-def si(value: Quantity, unit: str) -> float:
-    """A quantity as text with its unit (``"100 Hz"``), or a number in the SI unit."""
-    from insemu.units import parse
+def read(
+    file: str | Path | Table, *, gnss: str | Path | None = None, truth: str | Path | None = None, map: str = ""
+) -> list[Series] | Recording:
+    """Read a file of any known kind through the same intake as the commands.
 
-    return parse(value, unit) if isinstance(value, str) else float(value)
-
-
-@contextmanager
-def file_of(data: str | Path | Table) -> Iterator[Path]:
-    """A file of a table, which the readers of files take as any other; a path as it is.
-
-    Raises
-    ------
-    InputError
-        What the readers say of the table, which is named ``table``.
-    """
-    import tempfile
-
-    if isinstance(data, str | Path):
-        yield Path(data)
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "table.csv"
-        if isinstance(data, PolarsTable):
-            data.write_csv(str(path))
-        else:
-            table = data if getattr(getattr(data, "index", None), "name", None) is None else data.reset_index()
-            table.to_csv(str(path), index=False)
-        try:
-            yield path
-        except InputError as error:
-            where = None if error.where is None else error.where.replace(str(path), "table")
-            raise InputError(error.message.replace(str(path), "table"), where=where) from None
-
-
-def read(file: str | Path) -> list[Series] | Recording:
-    """Read a file of any known kind, see :func:`insemu.formats.read`.
+    Parameters
+    ----------
+    file : path or table
+        What has the IMU where there are several.
+    gnss, truth : path, optional
+        The fixes and the reference, where they are apart.
+    map : str
+        Columns and settings, as of ``insemu open --map``; ``contradictions=accepted`` takes a recording that contradicts physics.
 
     Returns
     -------
     list of Series, or Recording
-        The columns of a static log, or IMU and fixes.
-    """
-    from insemu import formats
-
-    return formats.read(file)
-
-
-def signals(
-    data: Signal,
-    *,
-    columns: Sequence[str] | None = None,
-    rate: Quantity | None = None,
-    skip: Quantity = 0.0,
-    unit: str = "",
-    name: str = "signal",
-) -> list[Series]:
-    """The signals of a file, a table, an array, a recording at rest, or those given.
-
-    Parameters
-    ----------
-    data : path, table, Series, sequence of Series, Recording or array
-        An array is one signal (n,), or times in s and one signal (n, 2).
-    columns : sequence of str, optional
-        Only these.
-    rate : str or float, optional
-        Sampling rate (``"100 Hz"``, or Hz) of what does not say it.
-    skip : str or float
-        What is left out at the start (``"40 min"``, or s).
-    unit, name : str
-        SI unit and name of an array.
+        The columns of a static log, in which samples may be missing; or IMU and fixes (what a map describes in any case), whose remarks say
+        what was assumed and what is worth a look.
 
     Raises
     ------
     InputError
-        Nothing of that kind, no such column, or no rate.
+        As :func:`insemu.formats.read`; data that contradict physics, in the words of ``insemu open``.
     """
-    hertz = None if rate is None else si(rate, "Hz")
-    if isinstance(data, str | Path | PandasTable | PolarsTable):
-        from insemu.logs import open_log
+    from insemu import formats, intake
 
-        with file_of(data) as path:
-            out = open_log(path, hertz, None if columns is None else list(columns)).series(gaps=True)
-    else:
-        out = _in_memory(data, hertz, unit, name)
-        if columns is not None:
-            from insemu.errors import nearest
-            from insemu.formats import AXIS_OF_COLUMN
-
-            there = {s.name: s for s in out}
-            wanted = [AXIS_OF_COLUMN.get(c, c) for c in columns]
-            if unknown := [c for c in wanted if c not in there]:
-                raise InputError(f"no column '{unknown[0]}'" + nearest(unknown[0], there))
-            out = [there[c] for c in wanted]
-    first = si(skip, "s")
-    return [replace(s, values=s.values[round(first * s.rate_hz) :]) for s in out] if first else out
+    with file_of(file) as path:
+        found, card = intake.take(path, gnss=gnss, truth=truth, maps=(map, "", ""))
+        card.check()
+        if gnss is None and truth is None and not map and not formats.holds_recording(path):
+            return formats.read_log(path).series(gaps=True)
+        return intake.found_in(intake.recording_of(found), card)
 
 
-def _in_memory(data: object, rate_hz: float | None, unit: str, name: str) -> list[Series]:
-    """The signals of what is no file and no table."""
-    if isinstance(data, Series):
-        return [data]
+def examine(
+    data: str | Path | Table | Recording,
+    *,
+    gnss: str | Path | None = None,
+    truth: str | Path | None = None,
+    map: str = "",
+) -> Card:
+    """The intake card, as ``insemu open`` prints it: what data were taken for and whether physics agrees.
+
+    Parameters
+    ----------
+    data : path, table or Recording
+    gnss, truth, map
+        Of a file, see :func:`read`.
+    """
+    from insemu import intake
+
     if isinstance(data, Recording):
-        from insemu.formats import Log
-
-        return Log.of_imu(data.imu, data.source).series(gaps=True)
-    if isinstance(data, list | tuple) and data and all(isinstance(s, Series) for s in data):
-        return list(data)
-    try:
-        x = np.asarray(data, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(
-            f"found {type(data).__name__}, expected a file, a table, an array, a Series, several, or a Recording"
-        ) from None
-    if x.ndim == 2 and x.shape[1] == 2 and len(x) > 1 and (np.diff(x[:, 0]) > 0).all():
-        step = float(x[-1, 0] - x[0, 0]) / (len(x) - 1)
-        if np.abs(np.diff(x[:, 0]) - step).max() > 0.5 * step:
-            raise InputError("the times in the first column have gaps, expected even ones, or a table (pandas, polars)")
-        return [Series(x[:, 1], 1.0 / step, unit, name)]
-    if x.ndim != 1:
-        raise InputError(f"found an array of shape {x.shape}, expected (n,), or (n, 2) with rising times in s first")
-    if rate_hz is None:
-        raise InputError(f"{name} does not say its sampling rate; expected rate='100 Hz', or times in a first column")
-    return [Series(x, rate_hz, unit, name)]
+        return intake.examine(data)
+    with file_of(data) as path:
+        return intake.take(path, gnss=gnss, truth=truth, maps=(map, "", ""))[1]
 
 
 @overload
@@ -387,7 +294,7 @@ def characterise(
         return ByAxis({a.name: a for a in characterise_log(log, columns, from_robust=robust, wavelet=wavelet)})
     from insemu.variance import characterise as one
 
-    series = signals(data, columns=columns, rate=rate, unit=unit, name=name)
+    series = signals(data, columns=columns, rate=rate, unit=unit, name=name, refuse=False)
     return ByAxis(
         {s.name: one(s.values, s.rate_hz, name=s.name, unit=s.unit, from_robust=robust, filter=wavelet) for s in series}
     )
@@ -499,7 +406,7 @@ def find_gap(
     InputError
         A recording where the model is expected; see :func:`insemu.gap.find_gap`.
     """
-    from insemu import gap
+    from insemu import gap, intake
     from insemu.noise import NoiseModel
 
     if isinstance(model, Recording | Series | PandasTable | PolarsTable):
@@ -516,10 +423,12 @@ def find_gap(
         believed = model
     data: StaticLog | Recording
     if isinstance(recording, Recording):
-        data = recording
+        data = intake.found_in(recording, intake.examine(recording).check())
     elif isinstance(recording, str | Path | PandasTable | PolarsTable):
         with file_of(recording) as path:
-            data = gap.load_measured(path, rate_hz=None if rate is None else si(rate, "Hz"))
+            hertz = None if rate is None else si(rate, "Hz")
+            card = intake.card_of(path, rate_hz=hertz).check()
+            data = intake.found_in(gap.load_measured(path, rate_hz=hertz), card)
     else:
         series = tuple(signals(recording))
         data = gap.StaticLog(series, None, "signals")
@@ -566,7 +475,7 @@ def solve(
     InputError
         Data that contradict physics, no fixes, or no way to start.
     """
-    from insemu import formats, intake
+    from insemu import intake
     from insemu.solve import candidates
     from insemu.solve import solve as one
 
@@ -577,8 +486,8 @@ def solve(
         data, card = recording, intake.examine(recording)
     else:
         with file_of(recording) as file, nullcontext() if gnss is None else file_of(gnss) as fixes:
-            found = formats.open_files(file, gnss=fixes, maps=(map, "", ""))
-            data, card = found.recording(), intake.examine(found)
+            found, card = intake.take(file, gnss=fixes, maps=(map, "", ""))
+            data = intake.recording_of(found)
     card.check()
     return one(data, card, beliefs, lever_arm=lever_arm, rate=trajectory_rate, workers=workers)
 

@@ -7,6 +7,7 @@ the interval before the record starts, is never integrated (emulated records rep
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal, get_args
@@ -477,6 +478,34 @@ class AidRecord(_Timed):
 
 
 @dataclass(frozen=True)
+class Reading:
+    """How a recording was read from files, which says how far its units and axes were stated.
+
+    Parameters
+    ----------
+    kind : str
+        What the files were taken for.
+    taken, assumed, notes : tuple of str
+        Which columns became what; what nobody said; what was done.
+    units : mapping of str to str
+        Units that were taken, by role.
+    repeated, missing : int
+        Rows that were left out.
+    accepted : bool
+        Whether somebody declared that the recording is right although it contradicts physics.
+    """
+
+    kind: str
+    taken: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
+    repeated: int = 0
+    missing: int = 0
+    accepted: bool = False
+
+
+@dataclass(frozen=True)
 class Preparation:
     """What was done to a recording before it was written: who looks for what is wrong with it looks at it as it was measured.
 
@@ -523,6 +552,8 @@ class Recording:
         What was found and done when it was read.
     preparation : Preparation, optional
         What was done to it before it was written.
+    reading : Reading, optional
+        How it was read, where it comes from files.
     """
 
     imu: ImuRecord
@@ -534,6 +565,12 @@ class Recording:
     origin: Origin = OWN
     remarks: tuple[str, ...] = ()
     preparation: Preparation | None = None
+    reading: Reading | None = field(default=None, compare=False)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done when it was read, without what intake found."""
+        return self.remarks if self.reading is None else self.reading.notes
 
     def as_measured(self) -> Recording:
         """The recording before its preparation: fixes as they were recorded, the IMU on its own clock."""

@@ -61,6 +61,7 @@ def command(
     from insemu.emulate import VEHICLES
     from insemu.errors import InputError, nearest
     from insemu.gap import applied, find_gap, from_its_start, is_looked_at, load_measured, load_nominal, write_refined
+    from insemu.intake import found_in
     from insemu.whole import put
     from insemu.work import processes
 
@@ -76,9 +77,9 @@ def command(
     except ValueError:
         raise InputError(f"'{apply}' is no list of numbers, expected for example '1,3'", where="--apply") from None
     console = Console(stderr=as_json)
-    announce(recording, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
+    card = announce(recording, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
     nominal = load_nominal(model)
-    data = load_measured(recording, rate_hz=units.parse(rate, "Hz") if rate else None)
+    data = found_in(load_measured(recording, rate_hz=units.parse(rate, "Hz") if rate else None), card)
     if "recording" not in nominal.raw:  # a scenario of a recording tells times by the recording's clock
         data = from_its_start(data)
     other = sorted({aid.kind for aid in getattr(data, "aids", ()) if not is_looked_at(aid.kind)})

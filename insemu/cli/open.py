@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from insemu.formats import Opened
+    from insemu.formats import Log, Opened
     from insemu.intake import Card
 
 
@@ -45,6 +45,7 @@ def command(
 
     from insemu.errors import InputError
     from insemu.formats import check_target, parse_map, write_preset
+    from insemu.intake import take
 
     console = Console(stderr=as_json, soft_wrap=True, highlight=False)
     if formats:
@@ -58,7 +59,7 @@ def command(
     if out:
         check_target(out)
     line = ", ".join(part for part in (column_map, f"rate={rate}" if rate else "") if part)
-    found, card = read(Path(file), gnss, truth, (line, gnss_map, truth_map))
+    found, card = take(file, gnss=gnss, truth=truth, maps=(line, gnss_map, truth_map))
     if as_json:
         typer.echo(json.dumps(card.to_json(), indent=1))
     else:
@@ -69,19 +70,6 @@ def command(
     if save_map:
         preset = write_preset(Path(file), parse_map(line))
         console.print(f"map: {preset}", markup=False)
-
-
-def read(file: Path, gnss: str, truth: str, maps: tuple[str, str, str]) -> tuple[Opened | None, Card]:
-    """What the files hold and the card; no records of a log that is no IMU (a single axis)."""
-    from insemu import formats, intake
-
-    alone = not (gnss or truth or any(maps))
-    if alone and formats.layout_of(file) == "log":
-        log = formats.read_log(file)
-        if len(log.names) < 6:
-            return None, intake.examine(log)
-    found = formats.open_files(file, gnss=gnss or None, truth=truth or None, maps=maps)
-    return found, intake.examine(found)
 
 
 def show(console: Console, card: Card) -> None:
@@ -97,7 +85,7 @@ def show(console: Console, card: Card) -> None:
         console.print("  (~ assumed, ? worth a look, ! contradicts physics)")
 
 
-def write(found: Opened | None, target: Path) -> Path:
+def write(found: Opened | Log, target: Path) -> Path:
     """Write a recording, or a log at rest of an IMU alone at an even rate."""
     import numpy as np
 
@@ -105,7 +93,7 @@ def write(found: Opened | None, target: Path) -> Path:
     from insemu.errors import InputError
     from insemu.formats import Log
 
-    if found is None:
+    if isinstance(found, Log):
         raise InputError("holds no IMU; there is nothing to convert", where=str(target))
     data = found.recording()
     imu = data.imu

@@ -40,10 +40,11 @@ def command(
 
     from rich.console import Console
 
-    from insemu import formats, intake, units
+    from insemu import units
     from insemu.cli.announce import show_brief
     from insemu.cli.printing import staged
     from insemu.evaluate import only_writer
+    from insemu.intake import recording_of, take
     from insemu.report import render_solution
     from insemu.solve import candidates, compare_with, solve, summary, write
     from insemu.whole import put
@@ -53,15 +54,14 @@ def command(
     beliefs = candidates(
         [d.strip() for d in designs.split(",") if d.strip()], sensor, models, lever_arm_known=arm is not None
     )
-    found = formats.open_files(file, gnss=gnss or None, maps=(column_map, gnss_map, ""))
-    card = intake.examine(found)
+    found, card = take(file, gnss=gnss, maps=(column_map, gnss_map, ""))
     show_brief(card, console)
     card.check()
     threads = workers or os.cpu_count() or 1
     # start, clock and noise, the design that the innovations ask for, two with calibration states, outages
     with staged(told, len(beliefs) + 6) as say:
         solution = solve(
-            found.recording(),
+            recording_of(found),
             card,
             beliefs,
             lever_arm=arm,

@@ -71,6 +71,7 @@ class RecordedWorld:
         if recording.gnss is None:
             raise InputError("has no GNSS fixes, which the designs need", where=self.source.file)
         self.recorded_imu, self.origin = recording.imu, recording.origin
+        self.notes, self.reading = recording.notes, recording.reading
         C = rotation.dcm_from_rpy(self.source.mounting)
         self.vehicle_imu = self._in_vehicle(self.recorded_imu)
         self.warnings += tuple(_bridged(self.vehicle_imu, self.source.file))
@@ -122,7 +123,12 @@ class RecordedWorld:
     @cached_property
     def card(self) -> Card:
         """What the recording was taken for, in vehicle axes and on the scenario's clock."""
-        return examine(Recording(self.vehicle_imu, self.gnss, self.reference, self.source.file, origin=self.origin))
+        imu, fixes, reference = self.vehicle_imu, self.gnss, self.reference
+        return examine(
+            Recording(
+                imu, fixes, reference, self.source.file, origin=self.origin, remarks=self.notes, reading=self.reading
+            )
+        )
 
     @cached_property
     def alignment(self) -> Alignment:

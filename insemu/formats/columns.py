@@ -60,6 +60,7 @@ SETTINGS: Mapping[str, str] = {
     "height_unit": "what the heights really are, such as ft",
     "gyro_axes": "which columns of the gyroscope are x, y and z, such as y x z or -x -y -z",
     "accel_axes": "which columns of the accelerometer are x, y and z, such as x -y z",
+    "contradictions": "accepted, where the recording is right although it contradicts physics: they are said and refuse nothing",
 }
 #: Role -> the setting that says its unit against what the file states.
 UNIT_SETTING: Mapping[str, str] = {
@@ -71,6 +72,7 @@ _CHOICES = {
     "velocity": ("ned", "enu", "neu"),
     "kind": ("sample", "mean", "increment"),
     "attitude": ("ned", "enu"),
+    "contradictions": ("accepted",),
 }
 _LONGEST = 4000
 

@@ -17,7 +17,7 @@ from insemu.formats.columns import ColumnMap, parse_map, read_preset
 from insemu.formats.decoding import decoding
 from insemu.formats.places import attitude, gnss_of, has_position, reference_of
 from insemu.formats.table import Besides, Reader, Table, reader_of
-from insemu.records import AidRecord, GnssRecord, ImuRecord, InitialState, Preparation, Recording, Trajectory
+from insemu.records import AidRecord, GnssRecord, ImuRecord, InitialState, Preparation, Reading, Recording, Trajectory
 from insemu.stamps import OWN, SECOND, Origin, counted
 from insemu.units import parse
 
@@ -94,6 +94,8 @@ class Opened:
         Units that were taken, by role.
     again : Again, optional
         Reads the same files with further settings.
+    accepted : bool
+        Whether a map declares that what contradicts physics is right.
     """
 
     source: str
@@ -112,6 +114,7 @@ class Opened:
     preparation: Preparation | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     again: Again | None = None
+    accepted: bool = False
 
     def recording(self) -> Recording:
         """The canonical recording; raises :class:`~insemu.errors.InputError` where there is no IMU."""
@@ -129,6 +132,16 @@ class Opened:
             self.origin,
             self.notes,
             self.preparation,
+            Reading(
+                self.kind,
+                self.taken,
+                self.assumed,
+                self.notes,
+                self.units,
+                self.repeated,
+                self.missing,
+                self.accepted,
+            ),
         )
 
 
@@ -236,6 +249,7 @@ def open_files(
             None if truth is None else Path(truth),
             (_map_of(maps[0]), _map_of(maps[1]), _map_of(maps[2])),
         ),
+        any("contradictions" in p.settings for f in given for p in f.parts),
     )
 
 

@@ -87,6 +87,7 @@ def find_gap(
     if isinstance(measured, Recording):
         measured = measured.as_measured()  # what was taken off beforehand is a finding
         believed, assumed = believed.on(measured)
+        assumed = (*assumed, *measured.remarks)
     with under(policy):
         report = _find(measured, believed, rng, without, hold_out, pictures, progress or (lambda _: None), flown, pool)
     return replace(report, assumed=assumed)

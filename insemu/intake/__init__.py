@@ -6,21 +6,37 @@ contradicts physics with the command that mends it.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from insemu import formats
+from insemu.errors import InputError
 from insemu.formats import Log, Opened, start_said
 from insemu.intake import checks, receiver, tried
 from insemu.intake import fixes as fixed
 from insemu.intake.card import Card, Level, Line
 from insemu.intake.fixes import vehicle_axes
 from insemu.intake.motion import track_of
-from insemu.records import AXES, AidRecord, ImuRecord, Recording
+from insemu.records import AXES, AidRecord, ImuRecord, Reading, Recording
 from insemu.variance import missing_values, unit_report
 
-__all__ = ["Card", "Level", "Line", "card_of", "examine", "track_of", "vehicle_axes"]
+__all__ = [
+    "Card",
+    "Level",
+    "Line",
+    "card_of",
+    "examine",
+    "found_in",
+    "recording_of",
+    "take",
+    "track_of",
+    "vehicle_axes",
+]
+
+_Data = TypeVar("_Data")
 
 #: Rows of a log that are looked at for its units.
 _ROWS = 1 << 20
@@ -43,17 +59,25 @@ def examine(data: Opened | Recording | Log, kind: str = "") -> Card:
     with np.errstate(all="ignore"):  # absurd numbers make absurd findings, not warnings of a library
         if isinstance(data, Log):
             return Card(data.source, kind or "static log", tuple(_log_lines(data)))
-        return tried.tried(_opened(data, kind), lambda opened: _examined(opened, kind))
+        found = _opened(data, kind)
+        card = tried.tried(found, lambda opened: _examined(opened, kind))
+        return card.accepted() if found.accepted else card
 
 
 def _opened(data: Opened | Recording, kind: str) -> Opened:
     """A recording as what was opened; one that is in memory is read again from a file of our own layout."""
-    if isinstance(data, Recording):
-        notes, aids, origin = data.remarks, data.aids, data.origin
-        data = Opened(
-            data.source, kind or "recording", data.imu, data.gnss, data.reference, notes=notes, aids=aids, origin=origin
-        )
-    return data
+    if isinstance(data, Opened):
+        return data
+    how = data.reading or Reading(kind or "recording", notes=data.remarks)
+    return Opened(
+        data.source,
+        imu=data.imu,
+        gnss=data.gnss,
+        reference=data.reference,
+        aids=data.aids,
+        origin=data.origin,
+        **vars(how),
+    )
 
 
 def _examined(data: Opened, kind: str) -> Card:
@@ -182,9 +206,51 @@ def card_of(path: str | Path, *, rate_hz: float | None = None) -> Card:
     FileNotFoundError
         No such file.
     """
-    layout = formats.layout_of(path)
-    if layout == "foreign":
-        return examine(formats.opened(path))
-    if layout == "recording":
-        return examine(formats.read_recording(path))
-    return examine(formats.read_log(path, rate_hz=rate_hz))
+    if formats.layout_of(path) == "log":
+        return examine(formats.read_log(path, rate_hz=rate_hz))
+    return examine(formats.opened(path))
+
+
+def take(
+    path: str | Path,
+    *,
+    gnss: str | Path | None = None,
+    truth: str | Path | None = None,
+    maps: tuple[str, str, str] = ("", "", ""),
+) -> tuple[Opened | Log, Card]:
+    """The one door for files whose kind nobody says: what they hold and the card, which may refuse it.
+
+    Parameters
+    ----------
+    path, gnss, truth, maps
+        As of :func:`insemu.formats.open_files`.
+
+    Returns
+    -------
+    Opened or Log, Card
+        A log where the file is one of our own and no IMU (fewer than six columns).
+
+    Raises
+    ------
+    InputError, FileNotFoundError
+        As :func:`insemu.formats.open_files`.
+    """
+    alone = not (gnss or truth or any(maps))
+    if alone and formats.layout_of(path) == "log":
+        log = formats.read_log(path)
+        if len(log.names) < len(AXES):
+            return log, examine(log)
+    found = formats.open_files(path, gnss=gnss or None, truth=truth or None, maps=maps)
+    return found, examine(found)
+
+
+def recording_of(found: Opened | Log) -> Recording:
+    """The recording of what :func:`take` found; raises :class:`~insemu.errors.InputError` where there is no IMU."""
+    if isinstance(found, Log):
+        raise InputError(f"holds {', '.join(found.names)} and no IMU, expected six axes", where=found.source)
+    return found.recording()
+
+
+def found_in(data: _Data, card: Card) -> _Data:
+    """Data with what intake found as its remarks; those that carry none as they are."""
+    return replace(data, remarks=card.remarks) if isinstance(data, Recording) else data

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from insemu.errors import InputError
@@ -11,6 +11,9 @@ from insemu.errors import InputError
 #: ok: checked and found right; assumed: nobody said and nothing contradicts; odd: worth a look; wrong: contradicts physics.
 Level = Literal["ok", "assumed", "odd", "wrong"]
 MARKS = {"ok": " ", "assumed": "~", "odd": "?", "wrong": "!"}
+
+#: Behind every refusal: the way past it.
+PAST = ". A recording that is right all the same is taken with the setting contradictions=accepted"
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ class Card:
         wrong = self.of("wrong")
         if wrong:
             said = "; ".join(f"{w.topic}: {w.text}" + (f". Mend: {self.command(w)}" if w.mend else "") for w in wrong)
-            raise InputError(said, where=self.source)
+            raise InputError(f"{said}{PAST}", where=self.source)
         return self
 
     def command(self, line: Line) -> str:
@@ -68,6 +71,19 @@ class Card:
         if not line.mend.startswith("--"):
             return line.mend
         return f"insemu open {self.source.split(', ')[0]} {line.mend} -o mended.npz"
+
+    def accepted(self) -> Card:
+        """The card of a recording that was declared right: what contradicts physics is worth a look."""
+        lines = (
+            replace(x, level="odd", text=f"{x.text} (accepted as declared)", mend="") if x.level == "wrong" else x
+            for x in self.lines
+        )
+        return replace(self, lines=tuple(lines))
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader of results has to know: what was assumed, and what is worth a look."""
+        return tuple(f"{x.topic}: {x.text}" for x in self.lines if x.level != "ok")
 
     def text(self, levels: Iterable[Level] = ("ok", "assumed", "odd", "wrong")) -> str:
         """The card as lines of text."""

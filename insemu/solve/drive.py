@@ -161,7 +161,7 @@ def prepared(recording: Recording, lever_arm: ArrayLike = (0.0, 0.0, 0.0)) -> Dr
     where = recording.source
     if recording.gnss is None:
         raise InputError("has no GNSS fixes; name the file that does with --gnss", where=where)
-    said = list(recording.remarks)
+    said = list(recording.notes)
     imu, lost = restored(recording.imu)
     for each in lost:
         said.append(
