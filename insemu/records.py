@@ -30,6 +30,8 @@ JITTER = 0.02
 COLUMNS = ("gx", "gy", "gz", "ax", "ay", "az")
 #: Shortest usual step between two times, s: no sensor has a rate of 1 THz, and one over less has no number.
 SHORTEST = 1e-12
+#: Largest number in a record: beyond, its square is none.
+LARGEST = 1e100
 #: Largest time, s: stamps since 1970 in ps are not as far, and what is further away overflows beside small steps.
 FARTHEST = 1e24
 
@@ -52,10 +54,28 @@ def _frozen(value: ArrayLike, name: str, shape: tuple[int | None, ...], *, finit
         raise InputError(
             f"{name} has {count} value(s) that are not finite, the first at row {first}; expected finite numbers"
         )
+    if array.size and np.nanmax(np.abs(array), where=np.isfinite(array), initial=0.0) > LARGEST:
+        raise InputError(f"{name} holds numbers beyond {LARGEST:g}, expected smaller ones")
     if array is given:
         array = array.view()
     array.setflags(write=False)
     return array
+
+
+def _finite(value: object) -> bool:
+    """Whether something is one finite real number."""
+    return isinstance(value, int | float | np.integer | np.floating) and bool(np.isfinite(value))
+
+
+def _latitudes(llh: Array, name: str) -> None:
+    """Refuse latitudes beyond the poles."""
+    latitude = np.where(np.isfinite(llh[:, 0]), llh[:, 0], 0.0)
+    k = int(np.argmax(np.abs(latitude)))
+    if abs(latitude[k]) > np.pi / 2 + 1e-12:
+        raise InputError(
+            f"{name} row {k} has a latitude of {latitude[k]:.6g} rad ({np.degrees(latitude[k]):.6g} deg), expected -pi/2 to pi/2 rad; "
+            "numpy.radians makes them of degrees"
+        )
 
 
 def _frozen_times(value: ArrayLike, name: str) -> Array:
@@ -105,7 +125,7 @@ class Series:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", _frozen(self.values, self.name, (None,), finite=not self.gaps))
-        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
+        if not (_finite(self.rate_hz) and 1.0 / LARGEST < self.rate_hz < LARGEST):
             raise InputError(f"{self.name} has a rate of {self.rate_hz} Hz, expected a positive number")
 
     @property
@@ -166,7 +186,7 @@ class Sampling:
         for name, known in (("average", ("interval", "instant")), ("stamp", ("start", "middle", "end"))):
             if getattr(self, name) not in known:
                 raise InputError(f"sampling: {name} is '{getattr(self, name)}', expected one of: {', '.join(known)}")
-        if self.bandwidth is not None and not (np.isfinite(self.bandwidth) and self.bandwidth > 0):
+        if self.bandwidth is not None and not (_finite(self.bandwidth) and self.bandwidth > 0):
             raise InputError(f"sampling: bandwidth is {self.bandwidth}, expected a positive number of Hz")
 
 
@@ -295,16 +315,20 @@ class GnssRecord(_Timed):
         object.__setattr__(self, "t", _frozen_times(self.t, "GNSS time"))
         n = self.t.size
         object.__setattr__(self, "llh", _frozen(self.llh, "gnss_llh", (n, 3), finite=False))
-        latitude = self.llh[:, 0]
-        if (np.abs(latitude[np.isfinite(latitude)]) > np.pi / 2 + 1e-12).any():
-            k = int(np.nanargmax(np.abs(latitude)))
-            raise InputError(
-                f"gnss_llh row {k} has a latitude of {latitude[k]:.6g} rad ({np.degrees(latitude[k]):.6g} deg), expected -pi/2 to pi/2 rad; "
-                "numpy.radians makes them of degrees"
-            )
+        _latitudes(self.llh, "gnss_llh")
         for name in ("vel_ned", "pos_std_ned", "vel_std_ned"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _frozen(getattr(self, name), f"gnss_{name}", (n, 3), finite=False))
+        for name in ("llh", "vel_ned"):
+            rows = None if getattr(self, name) is None else np.isinf(getattr(self, name)).any(axis=1)
+            if rows is not None and rows.any():
+                raise InputError(
+                    f"gnss_{name} row {int(np.argmax(rows))} is infinite, expected numbers, or NaN for none"
+                )
+        for name in ("pos_std_ned", "vel_std_ned"):
+            if getattr(self, name) is not None and (getattr(self, name) < 0.0).any():
+                k = int(np.argmax((getattr(self, name) < 0.0).any(axis=1)))
+                raise InputError(f"gnss_{name} row {k} is negative, expected standard deviations")
 
     def __len__(self) -> int:
         return self.t.size
@@ -391,6 +415,7 @@ class Trajectory(_Timed):
         n = self.t.size
         for attribute in ("llh", "vel_ned", "rpy"):
             object.__setattr__(self, attribute, _frozen(getattr(self, attribute), f"trajectory {attribute}", (n, 3)))
+        _latitudes(self.llh, "trajectory llh")
 
     def __len__(self) -> int:
         return self.t.size
@@ -417,7 +442,7 @@ class InitialState:
     sigma: Array
 
     def __post_init__(self) -> None:
-        if not np.isfinite(self.t):
+        if not _finite(self.t):
             raise InputError(f"the time of the initial state is {self.t}, expected a finite number of seconds")
         for name, size in (("llh", 3), ("vel_ned", 3), ("rpy", 3), ("sigma", 9)):
             object.__setattr__(self, name, _frozen(getattr(self, name), f"initial {name}", (size,)))

@@ -83,6 +83,8 @@ def read(path: str | Path) -> Document:
 def parse(text: str, name: str) -> Document:
     """Read YAML text; ``name`` stands for the file in messages. Raises as :func:`read`."""
     reader = _Reader(name)
+    if text.startswith("%YAML:"):  # OpenCV's own first line, which YAML does not know
+        text = "#" + text
     try:
         loader = _Limited(text)
         node = loader.get_single_node()

@@ -18,6 +18,8 @@ from insemu.records import GnssRecord, ImuRecord, InitialState
 from insemu.strapdown import NavState
 
 How = Literal["auto", "rest", "motion"]
+#: Longest usual step of an IMU that navigates, s: within a longer one a vehicle turns and comes back, which no increment tells.
+LONGEST_STEP = 1.0
 
 
 def at_state(imu: ImuRecord, known: InitialState) -> Alignment:
@@ -72,8 +74,10 @@ def start(
     Raises
     ------
     InputError
-        No way to start.
+        No way to start; an IMU with steps above :data:`LONGEST_STEP`.
     """
+    if imu.dt > LONGEST_STEP * (1.0 + 1e-6):
+        raise InputError(f"the IMU has a sample every {imu.dt:.4g} s, expected one every {LONGEST_STEP:g} s at least")
     if known is not None and how == "auto":
         return at_state(imu, known)
     if how == "rest":

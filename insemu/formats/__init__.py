@@ -15,6 +15,7 @@ from typing import Literal
 
 import numpy as np
 
+from insemu import noise, yamlfile
 from insemu.errors import InputError
 from insemu.formats import recording, static
 from insemu.formats.clocks import seconds_of_date, start_said, utc_of
@@ -101,6 +102,13 @@ def layout_of(path: str | Path) -> Layout:
     if static.is_text(path) and (reader is None or reader.rank == 9) and not _foreign_table(path):
         return "log"
     if reader is None:
+        if path.suffix.lower() in (".yaml", ".yml") and path.is_file():
+            kind = noise.kind_of(yamlfile.read(path).data)
+            if kind:
+                raise InputError(
+                    f"holds noise models ({kind}) and no recording, expected a log or recording; commands take it with --models",
+                    where=str(path),
+                )
         raise InputError(
             f"unknown kind of file '{path.suffix}'; `insemu open --formats` lists what is read",
             where=str(path),

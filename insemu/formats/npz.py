@@ -92,6 +92,8 @@ def texts(array: NDArray[Any], where: str) -> list[str]:
     """Return a one-dimensional (or scalar) array of text as a list."""
     if array.dtype.kind not in "US" or array.ndim > 1:
         raise InputError(f"has type {array.dtype} and shape {array.shape}, expected a list of text", where=where)
+    if not array.size:
+        raise InputError("is empty, expected text", where=where)
     return [v.decode() if isinstance(v, bytes) else str(v) for v in np.atleast_1d(array).tolist()]
 
 

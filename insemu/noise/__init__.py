@@ -9,6 +9,7 @@ from insemu.noise.files import axis_unit, load, save
 from insemu.noise.follow import KNOWN as COVARIATES
 from insemu.noise.follow import LARGEST_LOG_GAIN, LARGEST_LOG_TIME, Follows, require_constant
 from insemu.noise.onward import Source, check_held, sources
+from insemu.noise.others import kind_of
 from insemu.noise.parameters import Parameter
 from insemu.noise.process import PROCESSES, SAME_RATE, NoiseModel, NotStationary, Process, register
 from insemu.noise.processes.autoregressive import AR, AR1, ARMA, MA
@@ -50,6 +51,7 @@ __all__ = [
     "StateBlock",
     "axis_unit",
     "check_held",
+    "kind_of",
     "load",
     "load_spread",
     "process_label",

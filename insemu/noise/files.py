@@ -9,7 +9,9 @@ import yaml
 
 from insemu import yamlfile
 from insemu.errors import InputError
+from insemu.noise import others
 from insemu.noise.process import NoiseModel
+from insemu.progress import say_once
 from insemu.whole import put
 
 
@@ -34,7 +36,7 @@ def save(models: Mapping[str, NoiseModel], path: str | Path, signal_units: Mappi
 
 
 def load(path: str | Path) -> dict[str, NoiseModel]:
-    """Read what :func:`save` wrote.
+    """Read what :func:`save` wrote, or the noise models of Kalibr or imu_utils (:mod:`insemu.noise.others`), which says what was taken.
 
     Raises
     ------
@@ -42,6 +44,10 @@ def load(path: str | Path) -> dict[str, NoiseModel]:
         Not such a file, or a model that cannot be read; names the file and the axis.
     """
     document = yamlfile.read(path).data
+    if isinstance(document, dict) and others.kind_of(document):
+        models, said = others.read_others(document, str(path))
+        say_once(f"{path}: {said}")
+        return models
     if not isinstance(document, dict) or not isinstance(document.get("axes"), dict):
         raise InputError("expected a noise-model file with the key 'axes'", where=str(path))
     out = {}

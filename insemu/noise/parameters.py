@@ -25,6 +25,8 @@ Domain = Literal["positive", "rate", "time", "frequency", "real", "correlation",
 _SECONDS = {"{u}/sqrt(Hz)": 0.5, "({u})*s": 1.0, "{u}*sqrt(Hz)": -0.5, "{u}/s": -1.0}
 #: Correlation times are searched up to this many record lengths: beyond, a process cannot be told from a random walk.
 LONGEST_RECORDS = 20.0
+#: Largest value of a parameter, and one over the smallest of a rate, time or frequency: beyond, squares and products are no numbers.
+LARGEST = 1e100
 #: Points of the grid of correlation times for one, two, ... processes of a kind; fewer for each as their combinations multiply.
 _TIMES = {1: 30, 2: 18, 3: 14, 4: 11}
 _TIMES_CORRELATION = {1: 30, 2: 16, 3: 12}
@@ -87,8 +89,12 @@ class Parameter:
             or (self.domain == "correlation" and not -1 < value < 1)
             or (self.domain in ("rate", "time", "frequency") and value == 0)
         )
-        if not bad:
+        if not bad and abs(value) <= LARGEST and not 0.0 < abs(value) * LARGEST < 1.0:
             return
+        if not bad:
+            raise InputError(
+                f"{symbol}: {self.name} ({self.meaning}) is {value!r}, expected a size from {1.0 / LARGEST:g} to {LARGEST:g}"
+            )
         expected = "a finite number"
         if self.domain == "positive":
             expected = "a number that is not negative"
