@@ -23,8 +23,12 @@ def command(
         "Of models: kalibr, openvins, vins-fusion, gazebo, rotors, px4, kf-gins, gtsam, matlab or gnss-ins-sim. Of .imu: IMAR, LN200, "
         "LN200IG, IXSEA, NAVCHIP_INT or NAVCHIP_FLT.",
     ),
-    rate: str = option("--rate", "100 Hz", "Of models: sampling rate of the sensor there."),
-    record: str = option("--log-length", "1 h", "Of models: length of the record that they were fitted to."),
+    rate: str = option("--rate", "", "Of models: sampling rate of the sensor there; that of their log if not given."),
+    record: str = option(
+        "--log-length",
+        "",
+        "Of models: length of the record that they were fitted to; a third of it is the longest time that is checked.",
+    ),
     reference: bool = option("--reference", False),
     origin: str = option(
         "--origin", "", "Of recordings: date of time 0 (2024-05-01T12:00:00Z), where stamps are no dates."
@@ -57,14 +61,15 @@ def command(
 
 
 def _models(file: str, target: Path, to: str, rate: str, record: str) -> None:
-    from insemu import noise, units
+    from insemu import units
     from insemu.errors import InputError
-    from insemu.formats import PROGRAMS, spell
+    from insemu.formats import PROGRAMS, hand_on, read_fitted
     from insemu.whole import put
 
     if not to:
         raise InputError(f"says no program; expected one of: {', '.join(PROGRAMS)}", where="--to")
-    text, notes = spell(noise.load(file), to, rate_hz=units.parse(rate, "Hz"), record_s=units.parse(record, "s"))
+    hertz, seconds = (units.parse(given, unit) if given else None for given, unit in ((rate, "Hz"), (record, "s")))
+    text, notes = hand_on(read_fitted(file), to, rate_hz=hertz, record_s=seconds)
     put(target, text)
     for note in notes:
         typer.echo(f"beware: {note}", err=True)

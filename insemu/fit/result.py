@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -66,6 +66,8 @@ class Estimate:
         return f"{process_label(self.process, self.index)}.{self.name}"
 
 
+#: A process is not determined where the standard error of a parameter is more than so many times its value.
+SEVERAL = 3.0
 #: Ratio of the ends of an interval from which it says nothing.
 UNDETERMINED = 1e6
 
@@ -337,6 +339,51 @@ def estimates(
     return tuple(out)
 
 
+def not_determined(parameters: Sequence[Estimate]) -> list[str]:
+    """Processes (``GM1``) with a free parameter whose standard error is several times its value, or that alone has none."""
+    free = [e for e in parameters if e.free]
+    if not any(math.isfinite(e.standard_error) for e in free):
+        return []  # a method without standard errors
+    weak = [e for e in free if not e.standard_error <= SEVERAL * abs(e.value)]
+    return list(dict.fromkeys(process_label(e.process, e.index) for e in weak))
+
+
+def allan_interval(result: FitResult, confidence: float = 0.95) -> dict[str, list[float]]:
+    """Averaging times from 1 s to a third of the record, and the interval of the fitted Allan deviation there, to first order in the parameters.
+
+    Parameters
+    ----------
+    result : FitResult
+    confidence : float
+        Of the interval; parameters without a covariance add nothing to it.
+
+    Returns
+    -------
+    dict of "tau_s", "low", "high" to list of float
+        s and the unit of the signal; empty lists for a record of less than 3 s.
+    """
+    last, first = result.n_samples // 3, max(1, math.ceil(result.rate_hz))
+    if last < first:
+        return {"tau_s": [], "low": [], "high": []}
+    m = np.unique(np.round(np.geomspace(first, last, 1 + 2 * math.ceil(math.log2(last / first) + 1))))
+    here = result.model.allan_variance(m, result.dt)
+    free = [e for e in result.parameters if e.free]
+    slopes = np.zeros((len(free), m.size))
+    processes = list(result.model)
+    place = {process_label(p.symbol, index): k for k, (index, p) in enumerate(result.model.indexed())}
+    for row, e in zip(slopes, free, strict=True):
+        k, step = place[process_label(e.process, e.index)], 1e-5 * abs(e.value)
+        if step > 0.0:
+            moved = processes[k].with_parameters({e.name: e.value + step})
+            row[:] = (moved.allan_variance(m, result.dt) - processes[k].allan_variance(m, result.dt)) / step
+    known = np.nan_to_num(result.covariance, nan=0.0, posinf=0.0, neginf=0.0)
+    spread = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", slopes, known, slopes), 0.0)) / here
+    z = float(scipy.special.ndtri(0.5 + 0.5 * confidence))
+    ends = (np.sqrt(here * np.exp(sign * np.minimum(z * spread, 50.0))) for sign in (-1.0, 1.0))
+    low, high = (x.tolist() for x in ends)
+    return {"tau_s": (m * result.dt).tolist(), "low": low, "high": high}
+
+
 # -- files --------------------------------------------------------------------------------------------------------------------------------
 
 
@@ -365,6 +412,8 @@ def save(results: Mapping[str, FitResult], path: str | Path, spreads: Mapping[st
                 "warnings": list(r.warnings),
                 "standard_errors": {e.label: _number(e.standard_error) for e in r.parameters},
                 "intervals": {e.label: [_number(e.low), _number(e.high)] for e in r.parameters},
+                "not_determined": not_determined(r.parameters),
+                "allan_deviation": allan_interval(r),
             }
             | (
                 {"test": {"statistic": r.test.statistic, "dof": r.test.dof, "p_value": r.test.p_value}}

@@ -21,6 +21,7 @@ from insemu.formats import recording, static
 from insemu.formats.clocks import seconds_of_date, start_said, utc_of
 from insemu.formats.columns import guess_map, parse_map, preset_beside, read_preset, split_header, write_preset
 from insemu.formats.curves import NamedCurve, read_curves
+from insemu.formats.handed import Fitted, hand_on, read_fitted
 from insemu.formats.npz import keys_of, load_npz
 from insemu.formats.opened import Opened, open_files
 from insemu.formats.programs import PROGRAMS, spell
@@ -37,11 +38,13 @@ __all__ = [
     "AXIS_OF_COLUMN",
     "IMU_BINARIES",
     "PROGRAMS",
+    "Fitted",
     "Log",
     "NamedCurve",
     "Opened",
     "Way",
     "check_target",
+    "hand_on",
     "holds_recording",
     "known_readers",
     "load_npz",
@@ -50,6 +53,7 @@ __all__ = [
     "parse_map",
     "read",
     "read_curves",
+    "read_fitted",
     "read_imu",
     "read_log",
     "read_recording",

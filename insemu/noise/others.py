@@ -22,7 +22,7 @@ _UTILS = {"gyro": ("Gyr", "gyr"), "accel": ("Acc", "acc")}
 
 
 def kind_of(document: object) -> str:
-    """ "Kalibr" or "imu_utils"; "" for anything else."""
+    """Kalibr or imu_utils; an empty text for anything else."""
     if not isinstance(document, Mapping):
         return ""
     if any(f"{name}_noise_density" in part for part in _parts(document) for name in _KALIBR.values()):
