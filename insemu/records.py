@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError
+from insemu.guards import LARGEST, finite, frozen, frozen_times, latitudes
 from insemu.sample_times import beat
 from insemu.stamps import OWN, SECOND, Origin, counted
 
@@ -28,70 +29,6 @@ AXES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 JITTER = 0.02
 #: Column names of the same axes in files.
 COLUMNS = ("gx", "gy", "gz", "ax", "ay", "az")
-#: Shortest usual step between two times, s: no sensor has a rate of 1 THz, and one over less has no number.
-SHORTEST = 1e-12
-#: Largest number in a record: beyond, its square is none.
-LARGEST = 1e100
-#: Largest time, s: stamps since 1970 in ps are not as far, and what is further away overflows beside small steps.
-FARTHEST = 1e24
-
-
-def _frozen(value: ArrayLike, name: str, shape: tuple[int | None, ...], *, finite: bool = True) -> Array:
-    """Check and freeze an array; ``None`` in ``shape`` means any length."""
-    given = np.asarray(value)
-    if given.dtype.kind not in "fiu":
-        raise InputError(f"{name} has type {given.dtype}, expected real numbers")
-    array = np.asarray(given, dtype=np.float64, order="C")  # one layout: every other one has kernels compiled anew
-    if array.ndim != len(shape) or any(
-        want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
-    ):
-        expected = "(" + ", ".join("n" if s is None else str(s) for s in shape) + ("," if len(shape) == 1 else "") + ")"
-        raise InputError(f"{name} has shape {array.shape}, expected {expected}")
-    # the smallest and the largest tell, without a flag per sample of a long record
-    if finite and array.size and not (np.isfinite(array.min()) and np.isfinite(array.max())):
-        first = int(np.argmax(~np.isfinite(array.reshape(array.shape[0], -1)).all(axis=1)))
-        count = int((~np.isfinite(array)).sum())
-        raise InputError(
-            f"{name} has {count} value(s) that are not finite, the first at row {first}; expected finite numbers"
-        )
-    if array.size and np.nanmax(np.abs(array), where=np.isfinite(array), initial=0.0) > LARGEST:
-        raise InputError(f"{name} holds numbers beyond {LARGEST:g}, expected smaller ones")
-    if array is given:
-        array = array.view()
-    array.setflags(write=False)
-    return array
-
-
-def _finite(value: object) -> bool:
-    """Whether something is one finite real number."""
-    return isinstance(value, int | float | np.integer | np.floating) and bool(np.isfinite(value))
-
-
-def _latitudes(llh: Array, name: str) -> None:
-    """Refuse latitudes beyond the poles."""
-    latitude = np.where(np.isfinite(llh[:, 0]), llh[:, 0], 0.0)
-    k = int(np.argmax(np.abs(latitude)))
-    if abs(latitude[k]) > np.pi / 2 + 1e-12:
-        raise InputError(
-            f"{name} row {k} has a latitude of {latitude[k]:.6g} rad ({np.degrees(latitude[k]):.6g} deg), expected -pi/2 to pi/2 rad; "
-            "numpy.radians makes them of degrees"
-        )
-
-
-def _frozen_times(value: ArrayLike, name: str) -> Array:
-    t = _frozen(value, name, (None,))
-    if t.size == 0:
-        raise InputError(f"{name} is empty, expected at least one time")
-    if max(-t.min(), t.max()) > FARTHEST:
-        raise InputError(f"{name} runs from {t[0]:g} to {t[-1]:g} s; expected times within {FARTHEST:g} s")
-    step = np.diff(t)
-    if (step <= 0).any():
-        k = int(np.argmax(step <= 0)) + 1
-        what = "repeats" if step[k - 1] == 0 else "goes back"
-        raise InputError(f"{name} {what} at row {k} ({t[k - 1]!r} then {t[k]!r}); expected strictly increasing seconds")
-    if step.size and step.min() < SHORTEST and np.median(step) < SHORTEST:  # a rate is one over it
-        raise InputError(f"{name} has steps of {np.median(step):g} s; expected at least {SHORTEST:g} s")
-    return t
 
 
 @dataclass(frozen=True)
@@ -124,8 +61,8 @@ class Series:
     gaps: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", _frozen(self.values, self.name, (None,), finite=not self.gaps))
-        if not (_finite(self.rate_hz) and 1.0 / LARGEST < self.rate_hz < LARGEST):
+        object.__setattr__(self, "values", frozen(self.values, self.name, (None,), finite=not self.gaps))
+        if not (finite(self.rate_hz) and 1.0 / LARGEST < self.rate_hz < LARGEST):
             raise InputError(f"{self.name} has a rate of {self.rate_hz} Hz, expected a positive number")
 
     @property
@@ -186,7 +123,7 @@ class Sampling:
         for name, known in (("average", ("interval", "instant")), ("stamp", ("start", "middle", "end"))):
             if getattr(self, name) not in known:
                 raise InputError(f"sampling: {name} is '{getattr(self, name)}', expected one of: {', '.join(known)}")
-        if self.bandwidth is not None and not (_finite(self.bandwidth) and self.bandwidth > 0):
+        if self.bandwidth is not None and not (finite(self.bandwidth) and self.bandwidth > 0):
             raise InputError(f"sampling: bandwidth is {self.bandwidth}, expected a positive number of Hz")
 
 
@@ -217,14 +154,14 @@ class ImuRecord(_Timed):
     sampling: Sampling | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t", _frozen_times(self.t, "IMU time"))
+        object.__setattr__(self, "t", frozen_times(self.t, "IMU time"))
         n = self.t.size
-        object.__setattr__(self, "gyro", _frozen(self.gyro, "gyro", (n, 3)))
-        object.__setattr__(self, "accel", _frozen(self.accel, "accel", (n, 3)))
+        object.__setattr__(self, "gyro", frozen(self.gyro, "gyro", (n, 3)))
+        object.__setattr__(self, "accel", frozen(self.accel, "accel", (n, 3)))
         if self.kind not in get_args(ImuKind):
             raise InputError(f"imu_kind is '{self.kind}', expected one of: {', '.join(get_args(ImuKind))}")
         if self.temperature is not None:
-            object.__setattr__(self, "temperature", _frozen(self.temperature, "temperature", (n,)))
+            object.__setattr__(self, "temperature", frozen(self.temperature, "temperature", (n,)))
         if n < 2:
             raise InputError(f"the IMU has {n} sample(s), expected at least two")
 
@@ -312,13 +249,13 @@ class GnssRecord(_Timed):
     vel_std_ned: Array | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t", _frozen_times(self.t, "GNSS time"))
+        object.__setattr__(self, "t", frozen_times(self.t, "GNSS time"))
         n = self.t.size
-        object.__setattr__(self, "llh", _frozen(self.llh, "gnss_llh", (n, 3), finite=False))
-        _latitudes(self.llh, "gnss_llh")
+        object.__setattr__(self, "llh", frozen(self.llh, "gnss_llh", (n, 3), finite=False))
+        latitudes(self.llh, "gnss_llh")
         for name in ("vel_ned", "pos_std_ned", "vel_std_ned"):
             if getattr(self, name) is not None:
-                object.__setattr__(self, name, _frozen(getattr(self, name), f"gnss_{name}", (n, 3), finite=False))
+                object.__setattr__(self, name, frozen(getattr(self, name), f"gnss_{name}", (n, 3), finite=False))
         for name in ("llh", "vel_ned"):
             rows = None if getattr(self, name) is None else np.isinf(getattr(self, name)).any(axis=1)
             if rows is not None and rows.any():
@@ -411,11 +348,11 @@ class Trajectory(_Timed):
     name: str = field(default="trajectory", compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t", _frozen_times(self.t, "trajectory time"))
+        object.__setattr__(self, "t", frozen_times(self.t, "trajectory time"))
         n = self.t.size
         for attribute in ("llh", "vel_ned", "rpy"):
-            object.__setattr__(self, attribute, _frozen(getattr(self, attribute), f"trajectory {attribute}", (n, 3)))
-        _latitudes(self.llh, "trajectory llh")
+            object.__setattr__(self, attribute, frozen(getattr(self, attribute), f"trajectory {attribute}", (n, 3)))
+        latitudes(self.llh, "trajectory llh")
 
     def __len__(self) -> int:
         return self.t.size
@@ -442,10 +379,10 @@ class InitialState:
     sigma: Array
 
     def __post_init__(self) -> None:
-        if not _finite(self.t):
+        if not finite(self.t):
             raise InputError(f"the time of the initial state is {self.t}, expected a finite number of seconds")
         for name, size in (("llh", 3), ("vel_ned", 3), ("rpy", 3), ("sigma", 9)):
-            object.__setattr__(self, name, _frozen(getattr(self, name), f"initial {name}", (size,)))
+            object.__setattr__(self, name, frozen(getattr(self, name), f"initial {name}", (size,)))
         if not (self.sigma >= 0).all():
             raise InputError(f"initial sigma is {self.sigma.tolist()}, expected nine numbers that are not negative")
 
@@ -476,14 +413,14 @@ class AidRecord(_Timed):
     since: Array | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t", _frozen_times(self.t, f"{self.kind} time"))
+        object.__setattr__(self, "t", frozen_times(self.t, f"{self.kind} time"))
         n = self.t.size
         for name in ("values", "std"):
-            object.__setattr__(self, name, _frozen(getattr(self, name), f"{self.kind} {name}", (n, None), finite=False))
+            object.__setattr__(self, name, frozen(getattr(self, name), f"{self.kind} {name}", (n, None), finite=False))
         if self.std.shape != self.values.shape:
             raise InputError(f"{self.kind} std has shape {self.std.shape}, expected {self.values.shape}")
         if self.since is not None:
-            object.__setattr__(self, "since", _frozen(self.since, f"{self.kind} since", (n,)))
+            object.__setattr__(self, "since", frozen(self.since, f"{self.kind} since", (n,)))
 
     def __len__(self) -> int:
         return self.t.size

@@ -112,12 +112,25 @@ def test_a_process_that_forgets_is_no_walk(tmp_path: Path, capsys: pytest.Captur
     model = WN(N=2e-4) + GM(sigma=5e-4, beta=1 / 30.0)
     noise.save({"gyro_x": model}, tmp_path / "m.yaml")
     with pytest.raises(SystemExit) as stop:
-        main(["export", str(tmp_path / "m.yaml"), "--to", "kalibr", "-o", str(tmp_path / "k.yaml")])
+        main(
+            [
+                "export",
+                str(tmp_path / "m.yaml"),
+                "--to",
+                "kalibr",
+                "--log-length",
+                "1 h",
+                "-o",
+                str(tmp_path / "k.yaml"),
+            ]
+        )
     said = capsys.readouterr().err
     assert stop.value.code == 2 and not (tmp_path / "k.yaml").exists()
     length = re.search(r"--log-length '(\d+) s'", said)
     assert length is not None
     hand_on(read_fitted(tmp_path / "m.yaml"), "kalibr", record_s=float(length[1]))
+    _, notes = hand_on(read_fitted(tmp_path / "m.yaml"), "kalibr")  # without a log as far as it goes
+    assert any("from 1 to" in n and "only" in n for n in notes)
     text, notes = hand_on(read_fitted(tmp_path / "m.yaml"), "gazebo")
     assert "no rate is stated with the models: 100 Hz is assumed" in notes
     assert _number(text, "<dynamic_bias_correlation_time>") == pytest.approx(30.0)

@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 CLOSE = 0.1
 #: Shortest averaging time at which curves are held against each other, s, and the share of the record that is the longest.
 FROM_S, SHARE = 1.0, 1.0 / 3.0
+#: Range of times below which numbers are of no use to a filter, s: it is about what passes between two corrections of its biases.
+LEAST_REACH_S = 10.0
 #: Averaging times for each doubling.
 _PER_OCTAVE = 3
 #: Programs whose slow part is a Gauss-Markov process; that of others is a random walk.
@@ -132,7 +134,7 @@ def hand_on(
     ------
     InputError
         An unknown program; nothing that is determined; numbers that are more than 10 % off outside the interval of the fit between 1 s and a
-        third of the log.
+        third of the log; models without a log are held as far as it goes, for at least 10 s, and that is said.
     """
     if program not in PROGRAMS:
         raise InputError(f"unknown program '{program}'" + nearest(program, PROGRAMS))
@@ -142,6 +144,7 @@ def hand_on(
     if rate_hz is None:
         rate_hz = min(rates, default=100.0)
         notes += [] if rates else ["no rate is stated with the models: 100 Hz is assumed"]
+    stated = record_s is not None or bool(lengths)  # models of a datasheet have no log: they are held as far as it goes
     record_s = record_s if record_s is not None else min(lengths, default=3600.0)
     kept: dict[str, NoiseModel] = {}
     for axis, f in fits.items():
@@ -162,6 +165,9 @@ def hand_on(
         wanted = _wanted([f for axis, f in fits.items() if axis.startswith(sensor)], rate_hz, record_s)
         shared = out["gyro"].time if program == "kf-gins" and "gyro" in out else None
         found = _nearest(triad, wanted, program, shared)
+        if found is None and not stated:
+            longest, found = _reach(triad, wanted, program, shared)
+            notes.append(f"{sensor}: the numbers give the Allan deviation of the model from 1 to {longest:.3g} s only")
         if found is None:
             raise InputError(_refusal(sensor, triad, wanted, program, shared))
         out[sensor] = found
@@ -221,6 +227,15 @@ def _nearest(triad: Triad, wanted: _Wanted, program: str, shared: float | None) 
     return None
 
 
+def _reach(triad: Triad, wanted: _Wanted, program: str, shared: float | None) -> tuple[float, Triad | None]:
+    """The longest time up to which there are numbers that hold, s, and those."""
+    for longest in wanted.tau[wanted.tau >= LEAST_REACH_S][::-1]:
+        found = _nearest(triad, wanted.upto(longest), program, shared)
+        if found is not None:
+            return float(longest), found
+    return 0.0, None
+
+
 def _refusal(sensor: str, triad: Triad, wanted: _Wanted, program: str, shared: float | None) -> str:
     """Why nothing is written, and over which times it could be."""
     off = np.sqrt(wanted.of(_there(triad, program, shared)) / wanted.value)
@@ -230,7 +245,7 @@ def _refusal(sensor: str, triad: Triad, wanted: _Wanted, program: str, shared: f
         f"{sensor}: {program} knows white noise and {knows}, whose Allan deviation is {off[k]:.3g} times the fitted one at {wanted.tau[k]:.3g} s; "
         f"expected within {100 * CLOSE:g} % or the interval of the fit from {wanted.tau[0]:.3g} to {wanted.tau[-1]:.4g} s"
     )
-    for longest in wanted.tau[-2::-1]:
-        if longest >= 10.0 * FROM_S and _nearest(triad, wanted.upto(longest), program, shared) is not None:
-            return f"{text}; up to {longest:.3g} s it holds: --log-length '{math.ceil(longest / SHARE)} s'"
+    longest, found = _reach(triad, wanted, program, shared)
+    if found is not None:
+        return f"{text}; up to {longest:.3g} s it holds: --log-length '{math.ceil(longest / SHARE)} s'"
     return text
