@@ -17,7 +17,9 @@ LARGEST = 1e100
 FARTHEST = 1e24
 
 
-def frozen(value: ArrayLike, name: str, shape: tuple[int | None, ...], *, finite: bool = True) -> Array:
+def frozen(
+    value: ArrayLike, name: str, shape: tuple[int | None, ...], *, finite: bool = True, largest: float = LARGEST
+) -> Array:
     """Check and freeze an array.
 
     Parameters
@@ -29,11 +31,13 @@ def frozen(value: ArrayLike, name: str, shape: tuple[int | None, ...], *, finite
         None means any length.
     finite : bool
         Whether every number must be.
+    largest : float
+        Largest size of a number.
 
     Raises
     ------
     InputError
-        Another type or shape, numbers that are not finite or beyond :data:`LARGEST`.
+        Another type or shape, numbers that are not finite or too large.
     """
     given = np.asarray(value)
     if given.dtype.kind not in "fiu":
@@ -51,8 +55,8 @@ def frozen(value: ArrayLike, name: str, shape: tuple[int | None, ...], *, finite
         raise InputError(
             f"{name} has {count} value(s) that are not finite, the first at row {first}; expected finite numbers"
         )
-    if array.size and np.nanmax(np.abs(array), where=np.isfinite(array), initial=0.0) > LARGEST:
-        raise InputError(f"{name} holds numbers beyond {LARGEST:g}, expected smaller ones")
+    if array.size and np.nanmax(np.abs(array), where=np.isfinite(array), initial=0.0) > largest:
+        raise InputError(f"{name} holds numbers beyond {largest:g}, expected smaller ones")
     if array is given:
         array = array.view()
     array.setflags(write=False)
@@ -77,7 +81,7 @@ def latitudes(llh: Array, name: str) -> None:
 
 def frozen_times(value: ArrayLike, name: str) -> Array:
     """Check and freeze strictly increasing times (n,), s; raises ``InputError``."""
-    t = frozen(value, name, (None,))
+    t = frozen(value, name, (None,), largest=np.inf)
     if t.size == 0:
         raise InputError(f"{name} is empty, expected at least one time")
     if max(-t.min(), t.max()) > FARTHEST:

@@ -62,17 +62,17 @@ def read_others(document: Mapping[str, Any], where: str) -> tuple[dict[str, Nois
         ), "Kalibr: noise_density was taken for the density of white noise, random_walk for that of a random walk"
     models, density = {}, False
     for sensor, (group, short) in _UTILS.items():
-        part = document.get(group)
-        if not isinstance(part, Mapping):
+        section = document.get(group)
+        if not isinstance(section, Mapping):
             continue
-        axis = part.get("avg-axis", part)
+        axis = section.get("avg-axis", section)
         if not isinstance(axis, Mapping):
             raise InputError(f"found {shown(axis)}, expected {short}_n and {short}_w", where=f"{where}: {group}")
         white, slow = (_number(axis, f"{short}_{letter}", f"{where}: {group}") for letter in "nw")
-        density = "Hz" in str(part.get("unit", ""))
+        density = "Hz" in str(section.get("unit", ""))
         if not density and "update_rate" not in document:
             raise InputError(
-                f"says {short}_n in{part.get('unit', ' no unit')}, which imu_utils writes per sample: its density is known with the rate alone; "
+                f"says {short}_n in{section.get('unit', ' no unit')}, which imu_utils writes per sample: its density is known with the rate alone; "
                 "add the line 'update_rate: 200' with the rate of the log in Hz",
                 where=f"{where}: {group}",
             )
@@ -102,10 +102,8 @@ def _parts(document: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
 
 
 def _sum(white: float, slow: str, value: float) -> NoiseModel:
-    parts = [PROCESSES["WN"](N=white)]  # type: ignore[call-arg]
-    if value > 0.0:
-        parts.append(PROCESSES[slow](**{"RW": {"K": value}, "BI": {"B": value}}[slow]))
-    return NoiseModel(tuple(parts))
+    levels = [("WN", white), *([(slow, value)] if value > 0.0 else [])]
+    return NoiseModel(tuple(PROCESSES[n].from_mapping({PROCESSES[n].PARAMETERS[0].name: v}, "") for n, v in levels))
 
 
 def _number(part: Mapping[str, Any], key: str, where: str) -> float:
