@@ -486,7 +486,7 @@ def test_units_at_the_end_of_names(tmp_path: Path) -> None:
     found = any_table(tmp_path / "a.csv")
     assert found.units == {
         "t_ms": "ms",
-        "gyro_x_dps": "dps",
+        "gyro_x_dps": "deg/s",
         "acc_x_ms2": "m/s^2",
         "v_mps": "m/s",
         "w_rads": "rad/s",

@@ -97,6 +97,8 @@ def test_every_effect_is_reached_from_a_scenario_with_units(tmp_path):
     for effect in EFFECTS.values():
         for sensor in effect.sensors:
             entry = {"effect": effect.id, "sensor": sensor}
+            if "equation" in effect.traits:
+                entry["equation"] = {"gyro": "x = rate_y", "accel": "y = force_x", "gnss": "east = speed"}[sensor]
             for p in effect.parameters:
                 scale = values.get(p.name, effect.scale(p.name, sensor))
                 quantity = f"{scale!r} {effect.unit(p.name, sensor)}".strip()

@@ -229,7 +229,7 @@ def test_what_cannot_be_is_refused_before_the_work(
     def begun(*arguments: object, **options: object) -> None:
         raise AssertionError("the work began")
 
-    for place in ("insemu.evaluate.Experiment", "insemu.evaluate.EmulatedWorld", "insemu.cli.open.read"):
+    for place in ("insemu.evaluate.Experiment", "insemu.evaluate.EmulatedWorld", "insemu.intake.take"):
         monkeypatch.setattr(place, begun)
     (tmp_path / "s.yaml").write_text(SCENARIO)
     monkeypatch.chdir(tmp_path)

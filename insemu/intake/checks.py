@@ -237,7 +237,11 @@ def columns(imu: ImuRecord) -> list[Line]:
             low, high = float(values.min()), float(values.max())
             if low == high:
                 out.append(
-                    Line("columns", "wrong", f"{name} is {low:.4g} in every row: a dead axis, or another column")
+                    Line(
+                        "columns",
+                        "odd",
+                        f"{name} is {low:.4g} in every row: a dead axis, another column, or a simulation without noise",
+                    )
                 )
                 continue
             for edge in (low, high):

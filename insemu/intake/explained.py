@@ -145,6 +145,8 @@ class Windows:
     def _spread(self) -> Array:
         """Starts of windows without a pause of the IMU and with enough velocities, at most :data:`MOST`."""
         imu, t = self._imu, self._track.t
+        if not t.size:
+            return np.empty(0)
         margin = 1.0 + self._spans
         first, last = max(imu.t[0], t[0]) + margin, min(imu.t[-1], t[-1]) - margin
         starts = np.arange(first, last - self.length, self.length)
