@@ -44,6 +44,7 @@ def steps_around(dt: float) -> int:
     return max(1, round(AROUND_S / dt))
 
 
+DIVERGED = "navigation diverged (the states are not finite); is the IMU record in rad/s and m/s^2?"
 #: Sampling intervals that differ by less than this share are one: the states of a belief change over many of them.
 SAME_RATE = 0.01
 
@@ -305,19 +306,22 @@ class LooselyCoupledEKF:
         p = self._side_by_side if side_by_side else self._packed
         d, phi, mix, q = (lanes.spread(v) if side_by_side else v for v in (p.d, p.phi, p.mix, p.q))
         v = b.passed(side_by_side)
-        stored = kernel.run(
-            t, rows(f.gyro for f in filled), rows(f.accel for f in filled), stacked(np.concatenate([f.nav, np.zeros(3)]) for f in filled),
-            stacked(f.x0 for f in filled), stacked(f.P0 for f in filled), p.place, a.axis, a.c, a.driver, p.slots, p.diagonal,
-            d, phi, p.offsets, mix, p.q_at, q, p.q_law, p.time_at, p.time_law, p.time_of, rows(f.powers for f in filled),
-            following.of_speed(a), a.white_of, a.white, self._gravity, self.lever_arm, lever_at, latency_at,
-            self.thresholds(events.z.shape[1]), o.gate_timeout, o.covariance_every, o.output_every, trend_window(self.dt), steps_around(self.dt),
-            SAME_TIME * self.dt,
-            events.first_of, events.next_alike, events.t, events.epoch, events.kind, events.since, events.tau,
-            stacked(e.z for e in each), stacked(e.var for e in each), events.settings, cov_epoch, node_epoch,
-            o.store == "fixes", v["nav"], v["var"], v["x"], v["nu"], v["S"], v["nis"], v["dof"], v["ok"], v["epoch"], v["K"], v["H"],
-            v["P"], v["node_at"], v["node_nav"], v["node_x"], v["before"], v["after"], v["phi"], v["node_dx"], v["last"],
-            lanes.lanes_of(status) if side_by_side else status,
-        )  # fmt: skip
+        try:
+            stored = kernel.run(
+                t, rows(f.gyro for f in filled), rows(f.accel for f in filled), stacked(np.concatenate([f.nav, np.zeros(3)]) for f in filled),
+                stacked(f.x0 for f in filled), stacked(f.P0 for f in filled), p.place, a.axis, a.c, a.driver, p.slots, p.diagonal,
+                d, phi, p.offsets, mix, p.q_at, q, p.q_law, p.time_at, p.time_law, p.time_of, rows(f.powers for f in filled),
+                following.of_speed(a), a.white_of, a.white, self._gravity, self.lever_arm, lever_at, latency_at,
+                self.thresholds(events.z.shape[1]), o.gate_timeout, o.covariance_every, o.output_every, trend_window(self.dt), steps_around(self.dt),
+                SAME_TIME * self.dt,
+                events.first_of, events.next_alike, events.t, events.epoch, events.kind, events.since, events.tau,
+                stacked(e.z for e in each), stacked(e.var for e in each), events.settings, cov_epoch, node_epoch,
+                o.store == "fixes", v["nav"], v["var"], v["x"], v["nu"], v["S"], v["nis"], v["dof"], v["ok"], v["epoch"], v["K"], v["H"],
+                v["P"], v["node_at"], v["node_nav"], v["node_x"], v["before"], v["after"], v["phi"], v["node_dx"], v["last"],
+                lanes.lanes_of(status) if side_by_side else status,
+            )  # fmt: skip
+        except ZeroDivisionError:  # what it divided by was lost beside something huge
+            return [InputError(DIVERGED)]
         seconds = (time.perf_counter() - started) / len(flights)
         out: list[FilterResult | InputError] = []
         for lane, flight in enumerate(flights):
@@ -333,7 +337,7 @@ class LooselyCoupledEKF:
         if code == 2:
             return InputError(f"the innovation covariance is not positive definite in component {detail}")
         if code == 3:
-            return InputError("navigation diverged (the states are not finite); is the IMU record in rad/s and m/s^2?")
+            return InputError(DIVERGED)
         return None
 
     def checked(

@@ -373,7 +373,7 @@ def allan_interval(result: FitResult, confidence: float = 0.95) -> dict[str, lis
     place = {process_label(p.symbol, index): k for k, (index, p) in enumerate(result.model.indexed())}
     for row, e in zip(slopes, free, strict=True):
         k, step = place[process_label(e.process, e.index)], 1e-5 * abs(e.value)
-        if step > 0.0:
+        if step > 0.0 and e.name in processes[k].parameters:  # a slope of a covariate leaves the curve at its reference
             moved = processes[k].with_parameters({e.name: e.value + step})
             row[:] = (moved.allan_variance(m, result.dt) - processes[k].allan_variance(m, result.dt)) / step
     known = np.nan_to_num(result.covariance, nan=0.0, posinf=0.0, neginf=0.0)

@@ -133,7 +133,11 @@ def _preparation(arrays: Mapping[str, NDArray[Any]], source: str) -> Preparation
         return None
     where = f"{source}: prepared_"
     late = scalar(arrays["prepared_imu_late"], f"{where}imu_late")
-    said = tuple(texts(arrays["prepared_said"], f"{where}said")) if "prepared_said" in arrays else ()
+    said = (
+        tuple(texts(arrays["prepared_said"], f"{where}said"))
+        if "prepared_said" in arrays and arrays["prepared_said"].size
+        else ()
+    )
     fixes = {k.removeprefix("prepared_"): v for k, v in arrays.items() if k.startswith("prepared_gnss_")}
     return Preparation(late, _gnss(fixes, source), said)
 

@@ -89,11 +89,12 @@ class Parameter:
             or (self.domain == "correlation" and not -1 < value < 1)
             or (self.domain in ("rate", "time", "frequency") and value == 0)
         )
-        if not bad and abs(value) <= LARGEST and not 0.0 < abs(value) * LARGEST < 1.0:
+        least = 1.0 / LARGEST if self.domain in ("rate", "time", "frequency") else 0.0
+        if not bad and least <= abs(value) <= LARGEST:
             return
         if not bad:
             raise InputError(
-                f"{symbol}: {self.name} ({self.meaning}) is {value!r}, expected a size from {1.0 / LARGEST:g} to {LARGEST:g}"
+                f"{symbol}: {self.name} ({self.meaning}) is {value!r}, expected a size from {least:g} to {LARGEST:g}"
             )
         expected = "a finite number"
         if self.domain == "positive":
