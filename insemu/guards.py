@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 SHORTEST = 1e-12
 #: Largest number in a record: beyond, its square is none.
 LARGEST = 1e100
-#: Largest time, s: stamps since 1970 in ps are not as far, and what is further away overflows beside small steps.
+#: Largest time, s: stamps since 1970 in ps are not as far, and what is further away overflows with small steps.
 FARTHEST = 1e24
 
 

@@ -320,7 +320,7 @@ class LooselyCoupledEKF:
                 v["P"], v["node_at"], v["node_nav"], v["node_x"], v["before"], v["after"], v["phi"], v["node_dx"], v["last"],
                 lanes.lanes_of(status) if side_by_side else status,
             )  # fmt: skip
-        except ZeroDivisionError:  # what it divided by was lost beside something huge
+        except ZeroDivisionError:  # a divisor was lost against something huge
             return [InputError(DIVERGED)]
         seconds = (time.perf_counter() - started) / len(flights)
         out: list[FilterResult | InputError] = []

@@ -192,7 +192,7 @@ class _Stretch:
         return [_Fit(*b, float(c), dof, i, float(self.t[-1])) for b, c, i in zip(best, least, of, strict=True)]
 
     def best(self, prior: tuple[Array, Array], near: list[_Fit]) -> tuple[list[_Fit], float]:
-        """Fits apart from each other, the best first, and by how much the second is worse.
+        """Different fits, the best first, and by how much the second is worse.
 
         They begin at those of a shorter stretch, ``near``, and where there are none at several headings. What is linear in the biases is renewed
         after each turn, so that a long stretch does not lose what a short one has found.

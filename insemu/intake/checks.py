@@ -39,7 +39,7 @@ RESTS = 5.0
 HANDLED = 0.2
 #: Size of the mean specific force, in units of gravity, up to which a manoeuvre explains it (a 3-g turn all the time).
 MANOEUVRE = 4.0
-#: A rail: rows at an extreme, their share, and how many times the rows of the value beside it (counts thin out to their ends).
+#: A rail: rows at an extreme, their share, and how many times the rows of the next value (counts thin out to their ends).
 RAIL_ROWS, RAIL_SHARE, RAIL_OVER = 20, 2e-4, 3
 #: A median rate that no vehicle keeps, rad/s; longest time for which six values stay the same by chance of counts, s; rows looked at for blocks.
 SPIN, FROZEN, BLOCK_ROWS = 10.0, 1.0, 100_000

@@ -39,7 +39,7 @@ HALF = 0.25
 
 @dataclass(frozen=True)
 class Reading:
-    """A reading of an IMU beside fixes, relative to the declared one.
+    """A reading of an IMU with fixes, relative to the declared one.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""All readings of an IMU weighed together: which of them explains the velocities of the fixes, and which are told apart at all.
+"""All readings of an IMU weighed together: which of them explains the velocities of the fixes, and which differ at all.
 
 Readings that differ from the declared one in a unit, a sign, the order of the axes of one sensor, increments for rates, a delay, or the side of the
 globe are scored by :mod:`insemu.intake.explained`. The declared one is taken where none explains more. What is named is what explains the velocities
@@ -315,7 +315,7 @@ class Weighing:
         if abs(s) < OFFSET:
             return []
         if (drift := self._drift(s)) != 0.0:
-            return [Named({}, f"the clocks of IMU and fixes run apart, by about {drift:+.1f} s over the record", best)]
+            return [Named({}, f"the clock of the fixes drifts against that of the IMU, by about {drift:+.1f} s over the record", best)]
         leap = ", as many as the leap seconds of UTC" if abs(abs(s) - 18.0) < 0.6 else ""
         said = f"the fixes are {abs(s):.2f} s {'late' if s < 0 else 'early'} against the IMU{leap}"
         return [Named({"gnss_shift": f"{s:+.2f} s"}, said, best)]
@@ -396,7 +396,7 @@ class Weighing:
 
     def _rival(self, best: list[Named], left: str) -> Line:
         means = [n.means for n in best]
-        what = means[0] if len(best) == 1 else "one of these, which nothing here tells apart: " + "; or ".join(means)
+        what = means[0] if len(best) == 1 else "one of these, which nothing here distinguishes: " + "; or ".join(means)
         plain = best[0].found.total - self.declared.total > PLAIN and "gnss_shift" not in best[0].settings
         level: Level = "wrong" if plain or not self.explains(self.declared) else "odd"
         text = f"{left}, {best[0].found.rms:.2g} m/s if {what}"

@@ -1,4 +1,4 @@
-"""An axis of the IMU that was recorded with the wrong sign, told by flying the nominal filter with each axis turned round."""
+"""An axis of the IMU that was recorded with the wrong sign, found by flying the nominal filter with each axis turned round."""
 
 from __future__ import annotations
 
