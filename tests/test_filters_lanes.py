@@ -190,7 +190,7 @@ def test_grouping_changes_no_bit_and_failures_stay_in_their_lane(road):
     apart[1] = replace(gnsses[1], t=gnsses[1].t - 0.004)
     out = ekf.run_many(wrong, apart, starts, cases.START_SIGMA)
     # a division by zero ends the single run earlier than lanes, which say where it led
-    with pytest.raises(InputError, match="diverged|not positive"):
+    with pytest.raises(InputError, match=r"diverged|not positive"):
         ekf.run(wrong[0], apart[0], starts[0], cases.START_SIGMA)
     assert isinstance(out[0], InputError)
     # after the turn corrections are thousands of standard deviations
