@@ -315,7 +315,13 @@ class Weighing:
         if abs(s) < OFFSET:
             return []
         if (drift := self._drift(s)) != 0.0:
-            return [Named({}, f"the clock of the fixes drifts against that of the IMU, by about {drift:+.1f} s over the record", best)]
+            return [
+                Named(
+                    {},
+                    f"the clock of the fixes drifts against that of the IMU, by about {drift:+.1f} s over the record",
+                    best,
+                )
+            ]
         leap = ", as many as the leap seconds of UTC" if abs(abs(s) - 18.0) < 0.6 else ""
         said = f"the fixes are {abs(s):.2f} s {'late' if s < 0 else 'early'} against the IMU{leap}"
         return [Named({"gnss_shift": f"{s:+.2f} s"}, said, best)]
