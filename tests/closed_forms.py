@@ -13,6 +13,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2, norm
 
 from insemu.noise import BI, GM, NoiseModel
+from insemu.units import scaled_unit
 
 
 def gauss_markov(x: float) -> float:
@@ -58,6 +59,11 @@ def main() -> int:
     print(f"sigma of the Gauss-Markov process whose top is the flat part: 1 / {hump:.3f}")
     print(f"inside 3 sigma: {100 * (1 - 2 * norm.sf(3)):.2f} %, {100 * (1 - 2 * norm.sf(3)):.1f} %")
     print(f"degrees in a radian: {180 / np.pi:.1f}")
+    hour = float(np.sqrt(3600.0))
+    print(
+        f"1 ug/sqrt(Hz): {9.80665e-6 * hour:.3g} m/s/sqrt(h); 1 mg: {9.80665e-3 * 3600.0:.1f} m/s/h; 1 deg/h*sqrt(Hz): {hour:.0f} deg/h^1.5"
+    )
+    same("unit", scaled_unit("ug/sqrt(Hz)").factor / scaled_unit("m/s/sqrt(h)").factor, 9.80665e-6 * hour, 1e-12)
     eta = (
         3.0 * 10.0 / 2.0 - 2.0
     )  # degrees of freedom of overlapping averages of a tenth of a record of white noise (Riley 2008, table 5)
