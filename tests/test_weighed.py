@@ -12,8 +12,8 @@ import pytest
 
 from insemu.formats import Opened, open_files, write
 from insemu.formats.names import english
-from insemu.intake import examine
-from insemu.records import ImuRecord, Recording
+from insemu.intake import examine, receiver
+from insemu.records import GnssRecord, ImuRecord, Recording
 from tests.wrong_recordings import flown
 
 UAV = {"which": "turbulent_uav", "start": 30.0, "seconds": 150.0, "sigma": 0.05, "seed": 5}
@@ -68,3 +68,15 @@ def test_a_binary_dataflash_log_is_read(tmp_path: Path) -> None:
     found = open_files(tmp_path / "a.bin")
     assert found.imu is not None and len(found.imu) == 20
     np.testing.assert_allclose(found.imu.gyro[0], [0.1, 0.2, 0.3], rtol=1e-6)
+
+
+def test_an_outage_is_no_jump_of_the_positions_and_a_jump_is() -> None:
+    """A round trip of 60 s without fixes: velocities at both ends do not say where the vehicle is meanwhile."""
+    t = np.concatenate([np.arange(0.0, 100.0), np.arange(160.0, 260.0)])
+    angle = 0.05 * t
+    north, east = 200.0 * np.sin(angle), 200.0 * (1.0 - np.cos(angle))
+    llh = np.column_stack([0.8 + north / 6.38e6, 0.1 + east / (6.39e6 * np.cos(0.8)), np.zeros(t.size)])
+    vel = np.column_stack([10.0 * np.cos(angle), 10.0 * np.sin(angle), np.zeros(t.size)])
+    assert not any("jump" in line.text for line in receiver.steps(GnssRecord(t, llh, vel)))
+    llh[150:, 0] += 190.0 / 6.38e6
+    assert any("jump by 1" in line.text for line in receiver.steps(GnssRecord(t, llh, vel)))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from insemu import earth
 from insemu.intake.card import Level, Line
-from insemu.intake.checks import NEAR, near
+from insemu.intake.checks import NEAR, G, near
 from insemu.intake.motion import Track, every, positions_track, scatter, velocity_track
 from insemu.records import GnssRecord
 
@@ -325,6 +325,8 @@ def steps(gnss: GnssRecord) -> list[Line]:
             break
     off = np.linalg.norm(moved - said, axis=1)
     usual = 1.4826 * float(np.median(off))
+    # two velocities say where a vehicle of one g is between them to G dt^2 / 8: over a gap nothing
+    off = np.maximum(off - 0.125 * G * dt**2, 0.0)
     k = int(np.argmax(off))
     if off[k] > max(JUMP_M, JUMP_TIMES * usual, 0.5 * float(np.linalg.norm(said[k]))) and not out:
         out.append(
