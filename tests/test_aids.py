@@ -12,7 +12,8 @@ from insemu.errors import InputError
 from insemu.evaluate.emulated import EmulatedWorld
 from insemu.filters import AIDS, AidUse, FilterOptions, LooselyCoupledEKF, TrueMotion
 from insemu.filters.aid import SETTINGS
-from insemu.filters.aids import CODES, fill_aid
+from insemu.filters.aids import CODES, fill_rows
+from insemu.filters.rows import Moment, Rows
 from insemu.filters.reference import reference_run
 from insemu.formats.recording import read_recording, write_recording
 from insemu.yamlfile import Document
@@ -41,10 +42,12 @@ def filled(name, nav, rate, *, settings=(), before=None, tau=0.0, z=None, count=
     at = np.zeros(SETTINGS)
     at[: len(settings)] = settings
     nu, H, R = np.empty(w), np.empty((w, 12)), np.empty((w, w))
-    fill_aid(
-        CODES[name], nav, nav if before is None else before, DT, tau, rate.copy(), count, np.ones(6), np.ones(3), np.arange(3),
-        np.zeros(w) if z is None else z.copy(), at, nu, H, R,
+    before = nav if before is None else before
+    z = np.zeros(w) if z is None else z.copy()
+    moment = Moment(
+        nav, before, DT, tau, rate, rate, rate.copy(), count, np.ones(6), np.ones(3), np.arange(3), np.zeros(3), -1, -1, np.zeros(12)
     )  # fmt: skip
+    fill_rows(CODES[name], moment, z, at, Rows(nu, H, R))
     return nu, H, R
 
 

@@ -18,8 +18,9 @@ from insemu.filters import (
     measurements,
     run_filter,
 )
-from insemu.filters.aids import CODES
+from insemu.filters.aids import CODES, fill_rows
 from insemu.filters.reference import reference_run, step_matrices
+from insemu.filters.rows import Moment, Rows
 from insemu.noise import GM, RC, WN
 from insemu.records import AXES, AidRecord, GnssRecord, ImuRecord
 from tests import filter_cases as cases
@@ -154,25 +155,8 @@ def test_the_jacobian_of_a_fix_is_its_derivative():
             nu, H, R = np.empty(6), np.empty((6, 16)), np.empty((6, 6))
             z = np.concatenate([nav[:3], nav[3:6]])
             trend = np.concatenate([acceleration, np.zeros(6), r])
-            measurements.fill_fix(
-                moved,
-                before,
-                DT,
-                tau + error[15],
-                r,
-                r,
-                lever + error[12:15],
-                white,
-                c,
-                axis,
-                12,
-                15,
-                trend,
-                z,
-                nu,
-                H,
-                R,
-            )
+            moment = Moment(moved, before, DT, tau + error[15], r, r, r, 1, white, c, axis, lever + error[12:15], 12, 15, trend)
+            fill_rows(measurements.FIX, moment, z, np.zeros(6), Rows(nu, H, R))
             return -nu, H
 
         H = innovation(np.zeros(16))[1]

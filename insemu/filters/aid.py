@@ -40,8 +40,7 @@ class Aid:
     rows : mapping of str to str
         Its components with their SI units.
     fill : compiled function
-        ``fill(nav, nav_before, dt, tau, mean_rate, count, white, c_of, axis, z, settings, nu, H, R)`` writes the innovation ``nu`` (measured
-        minus predicted), the Jacobian ``H`` of the prediction and the noise ``R`` beside the record's own; see :func:`insemu.filters.aids.fill_aid`.
+        ``fill(moment, z, settings, rows)``; see :mod:`insemu.filters.rows`.
     truth : callable, optional
         True motion and settings (SETTINGS,) to the values (n, rows) of a perfect instrument; None: it is not emulated.
     settings : mapping of str to (unit, size)

@@ -19,6 +19,7 @@ from insemu.filters.events import Events
 from insemu.filters.expanded import FIRST, LD, MAP_SIZE, fill_map, gather, middle, predict, scatter
 from insemu.filters.measurements import fill_fix
 from insemu.filters.packed import pack
+from insemu.filters.rows import Moment, Rows
 from insemu.records import GnssRecord, ImuRecord
 from insemu.strapdown import fill_dynamics
 
@@ -95,9 +96,10 @@ def _fixes(
             z[j] = nav[k, j]
         dt = t[k] - t[k - 1]
         rate, rate_before = gyro[k] / dt, gyro[before] / (t[before] - t[before - 1])
-        fill_fix(
-            now, past, dt, tau[i], rate, rate_before, lever, white, c_of[i], axis, -1, -1, trend, z, nu[i], H[i], R[i]
+        moment = Moment(
+            now, past, dt, tau[i], rate, rate_before, rate, 1, white, c_of[i], axis, lever, -1, -1, trend
         )
+        fill_fix(moment, z, trend, Rows(nu[i], H[i], R[i]))
 
 
 @dataclass(frozen=True)

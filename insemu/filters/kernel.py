@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.compiled import njit
-from insemu.filters.aids import fill_aid
+from insemu.filters.aids import fill_rows
 from insemu.filters.expanded import (
     MAP_SIZE,
     advance_transition,
@@ -26,7 +26,6 @@ from insemu.filters.following import add_speed, take_times
 from insemu.filters.measurements import (
     FIX,
     add_curvature,
-    fill_fix,
     fill_rate,
     fill_trend,
     first_bad_pivot,
@@ -35,6 +34,7 @@ from insemu.filters.measurements import (
     turn,
     update,
 )
+from insemu.filters.rows import Moment, Rows
 from insemu.lanes import any_of, number_at, where, zeros
 from insemu.strapdown import fill_dynamics, step
 
@@ -254,7 +254,8 @@ def run(
     node_total = zeros(nav, n)
     width = event_z.shape[1]
     nu, H, R = zeros(nav, width), zeros(nav, (width, n)), zeros(nav, (width, width))
-    nu_after, H_after, R_after = zeros(nav, width), zeros(nav, (width, n)), zeros(nav, (width, width))
+    rows = Rows(nu, H, R)
+    rows_after = Rows(zeros(nav, width), zeros(nav, (width, n)), zeros(nav, (width, width)))
     moved = zeros(nav, 6)
     used = zeros(nav, width)
     rejected_from = math.inf + 0.0 * nav[0]
@@ -443,53 +444,19 @@ def run(
                 fill_rate(t, gyro, seen, past, k, tau, around, trend[9:])
             if in_time:
                 dt = t[k] - t[k - 1]
-                if kind == FIX:
-                    for i in range(3):
-                        lever[i] = lever0[i]
-                        if lever_at >= 0:
-                            lever[i] += x[place[lever_at + i]]
-                    fill_fix(
-                        nav,
-                        nav_before,
-                        dt,
-                        tau,
-                        rate,
-                        rate1,
-                        lever,
-                        white_step,
-                        c_of,
-                        axis,
-                        lever_at,
-                        latency_at,
-                        trend,
-                        event_z[event],
-                        nu,
-                        H,
-                        R,
-                    )
-                    if latency_at >= 0:
-                        at = place[latency_at]
-                        add_curvature(trend, E[at * ld + at], nu, R)
-                else:
-                    for i in range(3):
-                        mean_rate[i] = rate_sum[kind, i] / rate_count[kind]
-                    fill_aid(
-                        kind,
-                        nav,
-                        nav_before,
-                        dt,
-                        tau,
-                        mean_rate,
-                        rate_count[kind],
-                        white_step,
-                        c_of,
-                        axis,
-                        event_z[event],
-                        event_settings[event],
-                        nu,
-                        H,
-                        R,
-                    )
+                for i in range(3):
+                    lever[i] = lever0[i]
+                    if lever_at >= 0:
+                        lever[i] += x[place[lever_at + i]]
+                    mean_rate[i] = rate_sum[kind, i] / max(rate_count[kind], 1)
+                moment = Moment(
+                    nav, nav_before, dt, tau, rate, rate1, mean_rate, rate_count[kind], white_step, c_of, axis, lever, lever_at,
+                    latency_at, trend,
+                )  # fmt: skip
+                fill_rows(kind, moment, event_z[event], event_settings[event], rows)
+                if kind == FIX and latency_at >= 0:
+                    at = place[latency_at]
+                    add_curvature(trend, E[at * ld + at], nu, R)
                 for i in range(width):
                     used[i] = where(math.isfinite(event_z[event, i] + event_var[event, i]), 1.0, 0.0)
                     if any_of(used[i] > 0.0):
@@ -533,26 +500,8 @@ def run(
                                     lever[i] += x[place[lever_at + i]]
                                 trend[i] += moved[i]
                                 trend[9 + i] += moved[3 + i]
-                            fill_fix(
-                                nav,
-                                nav_before,
-                                dt,
-                                tau,
-                                rate,
-                                rate1,
-                                lever,
-                                white_step,
-                                c_of,
-                                axis,
-                                lever_at,
-                                latency_at,
-                                trend,
-                                event_z[event],
-                                nu_after,
-                                H_after,
-                                R_after,
-                            )
-                            turn(P, H, H_after, used)
+                            fill_rows(kind, moment, event_z[event], event_settings[event], rows_after)
+                            turn(P, H, rows_after.H, used)
                     if _failed(status, first_bad_pivot(P, L), 1):
                         return node
                     scatter(P, place, ok, E)

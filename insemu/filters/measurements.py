@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from insemu.compiled import njit
 from insemu.earth import RATE, scalar_radii
+from insemu.filters.rows import Moment, Rows
 from insemu.lanes import any_of, number_at, where, zeros
 from insemu.rotation import scalar_dcm, scalar_wrapped
 from insemu.strapdown import correct
@@ -62,54 +63,26 @@ def against_earth(nav: Array, C: Array, rate: Array, out: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def fill_fix(
-    nav: Array,
-    nav_before: Array,
-    dt: float,
-    tau: float,
-    rate: Array,
-    rate_before: Array,
-    lever: Array,
-    white: Array,
-    c_of: Array,
-    axis: Ints,
-    lever_at: int,
-    latency_at: int,
-    trend: Array,
-    z: Array,
-    nu: Array,
-    H: Array,
-    R: Array,
-) -> None:
-    """Innovation, its Jacobian and added noise of a GNSS fix that was valid ``tau`` seconds before this epoch.
+def fill_fix(moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
+    """Rows of a GNSS fix (:mod:`insemu.filters.rows`): position and velocity of the antenna.
 
-    Position and velocity of the antenna are taken back by the mean acceleration of the last step and by the rate: ``tau`` is meant to be
-    shorter than a step or two. Innovations are measured minus predicted, in metres and m/s north, east, down; ``H`` (6, n) is the
-    derivative of the *predicted* fix by the errors.
+    Both are taken back by the mean acceleration of the last step and by the rate: the age is meant to be shorter than a step or two. Innovations are
+    in metres and m/s north, east, down. The noise is what the gyroscope's white noise adds through the lever arm.
 
     Parameters
     ----------
-    nav, nav_before : (13,) arrays
-        State at this epoch and at the one before, ``dt`` seconds earlier.
-    tau : float
-        Age of the fix, s, latency included.
-    rate, rate_before : (3,) arrays
-        Corrected mean angular rates over the last two steps, rad/s.
-    lever : (3,) array
-        m, body axes.
-    white : (6,) array
-        Variances of the axes' white noise per sample.
-    c_of, axis : (m,) arrays
-        What axis each augmented state is seen by, and how strongly.
-    lever_at, latency_at : int
-        First lever-arm state and latency state among all states, -1 where not carried.
-    trend : (12,) array
-        See :func:`fill_trend` (where the latency is a state) and :func:`fill_rate`; for the derivatives by lever arm and latency.
+    moment : Moment
     z : (6,) array
         Latitude, longitude, height, velocity NED.
-    nu, H, R : (w,), (w, n), (w, w) arrays
-        Overwritten, w >= 6; ``R`` is what the gyroscope's white noise adds through the lever arm.
+    settings : array
+        None of a fix.
+    rows : Rows
+        Overwritten.
     """
+    nav, nav_before, dt, tau, rate, rate_before = moment.nav, moment.nav_before, moment.dt, moment.tau, moment.rate, moment.rate_before
+    lever, lever_at, latency_at, trend = moment.lever, moment.lever_at, moment.latency_at, moment.trend
+    white, c_of, axis = moment.white, moment.c_of, moment.axis
+    nu, H, R = rows.nu, rows.H, rows.R
     C = zeros(nav, (3, 3))
     scalar_dcm(nav[6:10], C)
     rm, rn = scalar_radii(math.sin(nav[0]))
@@ -154,8 +127,6 @@ def fill_fix(
     nu[4] = z[4] - (nav[4] - tau * acc[1] + s1)
     nu[5] = z[5] - (nav[5] - tau * acc[2] + s2)
 
-    H[:, :] = 0.0
-    R[:, :] = 0.0
     for i in range(3):
         H[i, i] = 1.0
         H[i, 3 + i] = -tau

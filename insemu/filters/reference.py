@@ -18,12 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from insemu import earth, rotation, strapdown
 from insemu.errors import InputError
 from insemu.filters import following, measurements
-from insemu.filters.aids import fill_aid
+from insemu.filters.aids import fill_rows
 from insemu.filters.ekf import LooselyCoupledEKF, steps_around, trend_window
 from insemu.filters.events import FIX_ROWS, SAME_TIME, Events
 from insemu.filters.kernel import LATE_STEPS
 from insemu.filters.options import InitialSigma
 from insemu.filters.results import FilterResult, FixTable
+from insemu.filters.rows import Moment, Rows
 from insemu.records import AidRecord, GnssRecord, ImuRecord, Trajectory
 from insemu.strapdown import NavState
 
@@ -181,22 +182,18 @@ class _Flight:
         """Innovation, Jacobian and noise of one fix or aid, used at epoch ``k``."""
         a, w = self.ekf.augmentation, events.z.shape[1]
         nu, H, R = np.empty(w), np.empty((w, 9 + a.m)), np.empty((w, w))
-        if events.kind[at] == measurements.FIX:
-            lever_at, latency_at = self.ekf.installation()
-            trend = self.trend(k, mean_dt, tau) if self.installed else np.zeros(12)
-            lever = self.ekf.lever_arm + (self.x[lever_at - 9 : lever_at - 6] if lever_at >= 0 else 0.0)
-            measurements.fill_fix(
-                self.nav, self.nav_before, self.dt, tau, self.rate, self.rate_before, lever, self.white, self.seen, a.axis, lever_at,
-                latency_at, trend, events.z[at], nu, H, R,
-            )  # fmt: skip
-            if latency_at >= 0:
-                measurements.add_curvature(trend, self.kf.P[latency_at, latency_at], nu, R)
-        else:
-            rates = self.rates[events.since[at] : k]
-            fill_aid(
-                int(events.kind[at]), self.nav, self.nav_before, self.dt, tau, np.mean(rates, axis=0), len(rates), self.white, self.seen,
-                a.axis, events.z[at], events.settings[at], nu, H, R,
-            )  # fmt: skip
+        kind, (lever_at, latency_at) = int(events.kind[at]), self.ekf.installation()
+        is_fix = kind == measurements.FIX
+        trend = self.trend(k, mean_dt, tau) if is_fix and self.installed else np.zeros(12)
+        lever = self.ekf.lever_arm + (self.x[lever_at - 9 : lever_at - 6] if lever_at >= 0 else 0.0)
+        rates = [self.rate] if is_fix else self.rates[events.since[at] : k]
+        moment = Moment(
+            self.nav, self.nav_before, self.dt, tau, self.rate, self.rate_before, np.mean(rates, axis=0), len(rates), self.white, self.seen,
+            a.axis, lever, lever_at, latency_at, trend,
+        )  # fmt: skip
+        fill_rows(kind, moment, events.z[at], events.settings[at], Rows(nu, H, R))
+        if is_fix and latency_at >= 0:
+            measurements.add_curvature(trend, self.kf.P[latency_at, latency_at], nu, R)
         return nu, H, R + np.diag(np.nan_to_num(events.var[at], posinf=0.0))
 
     def update(self, nu: Array, H: Array, R: Array) -> None:

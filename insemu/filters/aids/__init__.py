@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib import import_module
 from pkgutil import iter_modules
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +16,13 @@ from numpy.typing import NDArray
 from insemu.compiled import njit
 from insemu.filters.aid import SETTINGS, Aid
 from insemu.filters.aids.standstill import Standstill
+from insemu.filters.measurements import fill_fix
+from insemu.filters.rows import Moment, Rows
 from insemu.records import AidRecord
 
-__all__ = ["AIDS", "CODES", "Standstill", "aid_jacobian", "fill_aid"]
+__all__ = ["AIDS", "CODES", "Standstill", "aid_jacobian", "fill_rows"]
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 #: All kinds of aids by name.
 AIDS: dict[str, Aid] = {
@@ -32,72 +32,49 @@ AIDS: dict[str, Aid] = {
 CODES = {name: k for k, name in enumerate(AIDS, start=1)}
 
 
-@njit(nogil=True)
-def _none(kind: int, *given: Any) -> None:
-    """No aid has this code."""
-
-
 def _either(code: int, fill: Callable[..., None], rest: Callable[..., None]) -> Callable[..., None]:
     """One aid, or the rest: compiled code cannot look a function up in a table."""
 
     @njit(nogil=True)
-    def chosen(kind: int, *given: Any) -> None:
+    def chosen(kind: int, moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
         if kind == code:
-            fill(*given)
+            fill(moment, z, settings, rows)
         else:
-            rest(kind, *given)
+            rest(kind, moment, z, settings, rows)
 
     return chosen
 
 
-_fill = _none
+@njit(nogil=True)
+def _fill(kind: int, moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
+    """A fix is what has no other code."""
+    fill_fix(moment, z, settings, rows)
+
+
 for _name, _aid in AIDS.items():
     _fill = _either(CODES[_name], _aid.fill, _fill)
 
 
 @njit(cache=True, nogil=True)
-def fill_aid(
-    kind: int,
-    nav: Array,
-    nav_before: Array,
-    dt: float,
-    tau: float,
-    mean_rate: Array,
-    count: int,
-    white: Array,
-    c_of: Array,
-    axis: Ints,
-    z: Array,
-    settings: Array,
-    nu: Array,
-    H: Array,
-    R: Array,
-) -> None:
-    """Innovation (measured minus predicted), Jacobian of the prediction, and added noise of one aid.
+def fill_rows(kind: int, moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
+    """Rows of one fix or aid.
 
     Parameters
     ----------
     kind : int
-        Code of the aid, :data:`CODES`.
-    nav, nav_before : (13,) arrays
-        State at this epoch and at the one before, ``dt`` seconds earlier.
-    dt, tau : float
-        s; the aid was valid ``tau`` seconds before this epoch, less than ``dt``.
-    mean_rate, count : (3,) array, int
-        Corrected angular rate averaged since ``AidRecord.since``, rad/s, and over how many samples.
-    white, c_of, axis
-        See :func:`insemu.filters.measurements.fill_fix`.
+        :data:`~insemu.filters.measurements.FIX`, or the code of an aid (:data:`CODES`).
+    moment : Moment
     z : (w,) array
         Measured values.
     settings : (SETTINGS,) array
         Constants of the aid, for example a lever arm.
-    nu, H, R : (w,), (w, n), (w, w) arrays
-        Overwritten; the variances of the record are added to ``R`` afterwards.
+    rows : Rows
+        Overwritten.
     """
-    nu[:] = 0.0
-    H[:, :] = 0.0
-    R[:, :] = 0.0
-    _fill(kind, nav, nav_before, dt, tau, mean_rate, count, white, c_of, axis, z, settings, nu, H, R)
+    rows.nu[:] = 0.0
+    rows.H[:, :] = 0.0
+    rows.R[:, :] = 0.0
+    _fill(kind, moment, z, settings, rows)
 
 
 def aid_jacobian(aid: AidRecord, nav: Array) -> Array:
@@ -113,23 +90,8 @@ def aid_jacobian(aid: AidRecord, nav: Array) -> Array:
     w = len(AIDS[aid.kind].rows)
     settings, state = np.zeros(SETTINGS), np.zeros(13)
     settings[: len(aid.settings)], state[:10] = aid.settings, nav
-    nu, H, R = np.empty(w), np.empty((w, 9)), np.empty((w, w))
-    none, nobody = np.zeros(0), np.zeros(0, dtype=np.int64)
-    fill_aid(
-        CODES[aid.kind],
-        state,
-        state,
-        1.0,
-        0.0,
-        np.zeros(3),
-        1,
-        np.zeros(6),
-        none,
-        nobody,
-        np.zeros(w),
-        settings,
-        nu,
-        H,
-        R,
-    )
-    return H
+    still, none, nobody = np.zeros(3), np.zeros(0), np.zeros(0, dtype=np.int64)
+    moment = Moment(state, state, 1.0, 0.0, still, still, still, 1, np.zeros(6), none, nobody, still, -1, -1, none)
+    rows = Rows(np.empty(w), np.empty((w, 9)), np.empty((w, w)))
+    fill_rows(CODES[aid.kind], moment, np.zeros(w), settings, rows)
+    return rows.H

@@ -7,31 +7,17 @@ from numpy.typing import NDArray
 
 from insemu.compiled import njit
 from insemu.filters.aid import Aid, TrueMotion
+from insemu.filters.rows import Moment, Rows
 from insemu.lanes import zeros
 from insemu.rotation import scalar_dcm
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @njit(cache=True, nogil=True)
-def _fill(
-    nav: Array,
-    nav_before: Array,
-    dt: float,
-    tau: float,
-    mean_rate: Array,
-    count: int,
-    white: Array,
-    c_of: Array,
-    axis: Ints,
-    z: Array,
-    settings: Array,
-    nu: Array,
-    H: Array,
-    R: Array,
-) -> None:
-    """Height of the port, taken back by the vertical velocity; see :func:`insemu.filters.aids.fill_aid`."""
+def _fill(moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
+    """Height of the port, taken back by the vertical velocity; see :mod:`insemu.filters.rows`."""
+    nav, H = moment.nav, rows.H
     C = zeros(nav, (3, 3))
     scalar_dcm(nav[6:10], C)
     north, east, down = 0.0, 0.0, 0.0
@@ -39,9 +25,9 @@ def _fill(
         north += C[0, k] * settings[k]
         east += C[1, k] * settings[k]
         down += C[2, k] * settings[k]
-    nu[0] = z[0] - (nav[2] - down + tau * nav[5])
+    rows.nu[0] = z[0] - (nav[2] - down + moment.tau * nav[5])
     H[0, 2] = -1.0
-    H[0, 5] = tau
+    H[0, 5] = moment.tau
     H[0, 6] = -east
     H[0, 7] = north
 

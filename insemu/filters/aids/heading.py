@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from insemu.compiled import njit
 from insemu.filters.aid import Aid, TrueMotion
+from insemu.filters.rows import Moment, Rows
 from insemu.lanes import zeros
 from insemu.rotation import scalar_dcm
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @njit(cache=True, nogil=True)
@@ -31,29 +31,15 @@ def _along(nav: Array, yaw: float, C: Array) -> tuple[float, float, float]:
 
 
 @njit(cache=True, nogil=True)
-def _fill(
-    nav: Array,
-    nav_before: Array,
-    dt: float,
-    tau: float,
-    mean_rate: Array,
-    count: int,
-    white: Array,
-    c_of: Array,
-    axis: Ints,
-    z: Array,
-    settings: Array,
-    nu: Array,
-    H: Array,
-    R: Array,
-) -> None:
-    """Heading of the axis, taken back by the turn of the last step; see :func:`insemu.filters.aids.fill_aid`."""
-    C = zeros(nav, (3, 3))
-    x, y, _ = _along(nav_before, settings[0], C)
+def _fill(moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
+    """Heading of the axis, taken back by the turn of the last step; see :mod:`insemu.filters.rows`."""
+    H = rows.H
+    C = zeros(moment.nav, (3, 3))
+    x, y, _ = _along(moment.nav_before, settings[0], C)
     before = math.atan2(y, x)
-    x, y, down = _along(nav, settings[0], C)
+    x, y, down = _along(moment.nav, settings[0], C)
     now = math.atan2(y, x)
-    nu[0] = _half_turn(z[0] - now + tau / dt * _half_turn(now - before))
+    rows.nu[0] = _half_turn(z[0] - now + moment.tau / moment.dt * _half_turn(now - before))
     H[0, 6] = -x * down / (x * x + y * y)
     H[0, 7] = -y * down / (x * x + y * y)
     H[0, 8] = 1.0

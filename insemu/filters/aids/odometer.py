@@ -10,37 +10,24 @@ from numpy.typing import NDArray
 from insemu.compiled import njit
 from insemu.filters.aid import Aid, TrueMotion
 from insemu.filters.measurements import against_earth
+from insemu.filters.rows import Moment, Rows
 from insemu.lanes import zeros
 from insemu.rotation import dcm_from_rpy, scalar_dcm
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @njit(cache=True, nogil=True)
-def _fill(
-    nav: Array,
-    nav_before: Array,
-    dt: float,
-    tau: float,
-    mean_rate: Array,
-    count: int,
-    white: Array,
-    c_of: Array,
-    axis: Ints,
-    z: Array,
-    settings: Array,
-    nu: Array,
-    H: Array,
-    R: Array,
-) -> None:
-    """Velocity of the wheel in vehicle axes; see :func:`insemu.filters.aids.fill_aid`."""
+def _fill(moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
+    """Velocity of the wheel in vehicle axes; see :mod:`insemu.filters.rows`."""
+    nav, axis, c_of = moment.nav, moment.axis, moment.c_of
+    nu, H, R = rows.nu, rows.H, rows.R
     C, M, T = zeros(nav, (3, 3)), np.empty((3, 3)), zeros(nav, (3, 3))
     before, now, omega = zeros(nav, 3), zeros(nav, 3), zeros(nav, 3)
     _mounting(settings, M)
-    _in_vehicle(nav_before, M, C, T, before)
+    _in_vehicle(moment.nav_before, M, C, T, before)
     _in_vehicle(nav, M, C, T, now)
-    against_earth(nav, C, mean_rate, omega)
+    against_earth(nav, C, moment.mean_rate, omega)
     by_rate = np.empty((3, 3))  # velocity of the wheel in vehicle axes by each rate, through the lever arm
     for i in range(3):
         by_rate[i, 0] = M[i, 2] * settings[1] - M[i, 1] * settings[2]
@@ -48,12 +35,12 @@ def _fill(
         by_rate[i, 2] = M[i, 1] * settings[0] - M[i, 0] * settings[1]
     for i in range(3):
         # as it was tau seconds ago: velocity and axes change by what the last step changed
-        nu[i] = z[i] - now[i] - tau / dt * (before[i] - now[i])
+        nu[i] = z[i] - now[i] - moment.tau / moment.dt * (before[i] - now[i])
         for k in range(3):
             nu[i] -= by_rate[i, k] * omega[k]
             H[i, 3 + k] = T[i, k]
             for j in range(3):
-                R[i, j] += by_rate[i, k] * by_rate[j, k] * white[k] / count
+                R[i, j] += by_rate[i, k] * by_rate[j, k] * moment.white[k] / moment.count
         H[i, 6] = T[i, 1] * nav[5] - T[i, 2] * nav[4]
         H[i, 7] = T[i, 2] * nav[3] - T[i, 0] * nav[5]
         H[i, 8] = T[i, 0] * nav[4] - T[i, 1] * nav[3]

@@ -13,12 +13,12 @@ from insemu.compiled import njit
 from insemu.earth import RATE
 from insemu.filters.aid import Aid
 from insemu.filters.measurements import against_earth
+from insemu.filters.rows import Moment, Rows
 from insemu.lanes import zeros
 from insemu.records import AidRecord
 from insemu.rotation import scalar_dcm
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -57,40 +57,27 @@ class Standstill:
 
 
 @njit(cache=True, nogil=True)
-def _fill(
-    nav: Array,
-    nav_before: Array,
-    dt: float,
-    tau: float,
-    mean_rate: Array,
-    count: int,
-    white: Array,
-    c_of: Array,
-    axis: Ints,
-    z: Array,
-    settings: Array,
-    nu: Array,
-    H: Array,
-    R: Array,
-) -> None:
-    """Zero velocity (rows 0..2) and zero mean angular rate (rows 3..5); see :func:`insemu.filters.aids.fill_aid`."""
+def _fill(moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
+    """Zero velocity (rows 0..2) and zero mean angular rate (rows 3..5); see :mod:`insemu.filters.rows`."""
+    nav, axis = moment.nav, moment.axis
+    nu, H, R = rows.nu, rows.H, rows.R
     C = zeros(nav, (3, 3))
     scalar_dcm(nav[6:10], C)
     omega = zeros(nav, 3)
-    against_earth(nav, C, mean_rate, omega)
+    against_earth(nav, C, moment.mean_rate, omega)
     we_n, we_d = RATE * math.cos(nav[0]), -RATE * math.sin(nav[0])
     for i in range(3):
         nu[i] = -nav[3 + i]
         H[i, 3 + i] = 1.0
         nu[3 + i] = -omega[i]
-        R[3 + i, 3 + i] = white[i] / count
+        R[3 + i, 3 + i] = moment.white[i] / moment.count
         # the Earth's rate in body axes moves with the attitude error: -C' (w_ie x phi) ... = -[C' w_ie] as seen by phi
         H[3 + i, 6] = -(C[1, i] * we_d)
         H[3 + i, 7] = C[0, i] * we_d - C[2, i] * we_n
         H[3 + i, 8] = C[1, i] * we_n
     for s in range(axis.size):
         if 0 <= axis[s] < 3:
-            H[3 + axis[s], 9 + s] = -c_of[s]
+            H[3 + axis[s], 9 + s] = -moment.c_of[s]
 
 
 AID = Aid(
