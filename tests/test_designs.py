@@ -229,7 +229,7 @@ def test_a_users_filter_takes_part_in_everything(tmp_path, capsys, offered):
     altered = run_experiment(AlteredExperiment(experiment, Alteration("gnss", "position", 1.5)))
     changed = {c.design for c in check(altered, Baseline.read(baseline)) if c.significant}
     assert "mine" in changed
-    with pytest.raises(InputError, match="is the user's filter 'cautious'"):
+    with pytest.raises(InputError, match="is the filter 'cautious'"):
         experiment.ekf("mine")
     assert list(analyse_designs(experiment)) == ["full"]
 

@@ -28,6 +28,7 @@ from insemu.evaluate.scores import run_scores, sensor_scores
 from insemu.evaluate.stretched import Stretch, StretchedWorld, emulated_world
 from insemu.evaluate.world import Estimate, World, implausible, static_logs, stream
 from insemu.filters import (
+    Family,
     FilterOptions,
     FilterParts,
     FilterResult,
@@ -299,18 +300,18 @@ class Experiment:
         )
 
     def ekf(self, design: str) -> LooselyCoupledEKF:
-        """The filter of a design of insemu's own.
+        """The extended Kalman filter of a design.
 
         Raises
         ------
         InputError
-            The design names a user's filter.
+            The design names another filter.
         """
         made = self.filter(design)
-        if not isinstance(made, LooselyCoupledEKF):
+        if not isinstance(made, LooselyCoupledEKF) or made.options.family != Family():
             name = self.scenario.designs[design].filter
             raise InputError(
-                f"the design '{design}' is the user's filter '{name}', expected one of insemu's own",
+                f"the design '{design}' is the filter '{name}', expected the extended Kalman filter",
                 where=str(self.file or "scenario"),
             )
         return made
@@ -351,9 +352,7 @@ class Experiment:
         )
         try:
             parts = self.altered(design, parts)
-            if chosen.filter is not None:
-                return parts.user(chosen.filter, chosen.settings)
-            return parts.own()
+            return parts.made(chosen.filter, chosen.settings)
         except InputError as error:
             hint = ""
             if isinstance(error, NotStationary):

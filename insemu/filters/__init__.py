@@ -15,6 +15,7 @@ from insemu.filters.alignment import (
 )
 from insemu.filters.ekf import LooselyCoupledEKF, run_filter
 from insemu.filters.events import SAME_TIME
+from insemu.filters.families import FAMILIES, Family
 from insemu.filters.gains import Gains, gains_along, on_ideal_data
 from insemu.filters.joint import JointSystem, error_maps
 from insemu.filters.likeliest import Innovations, Likeliest, likeliest, uncertainty
@@ -38,6 +39,7 @@ from insemu.filters.twin import Carried, Intervals, LinearErrors, carried, drive
 
 __all__ = [
     "AIDS",
+    "FAMILIES",
     "FIX",
     "SAME_TIME",
     "SETTINGS",
@@ -47,6 +49,7 @@ __all__ = [
     "Alignment",
     "Carried",
     "Extras",
+    "Family",
     "FilterOptions",
     "FilterParts",
     "FilterResult",

@@ -22,6 +22,7 @@ from insemu.filters.expanded import (
     scatter,
     states_ahead,
 )
+from insemu.filters.families import Carry, Update, absorb, settle
 from insemu.filters.following import add_speed, take_times
 from insemu.filters.measurements import (
     FIX,
@@ -32,7 +33,6 @@ from insemu.filters.measurements import (
     motion_change,
     take_off,
     turn,
-    update,
 )
 from insemu.filters.rows import Moment, Rows
 from insemu.lanes import any_of, number_at, where, zeros
@@ -117,6 +117,7 @@ def run(
     cov_epoch: Ints,
     node_epoch: Ints,
     store: bool,
+    carry: Carry,
     out_nav: Array,
     out_var: Array,
     out_x: Array,
@@ -201,6 +202,8 @@ def run(
         Epochs at which the whole covariance is kept and a node is stored, ascending.
     store : bool
         Whether nodes are stored: at those epochs and wherever something is measured.
+    carry : Carry
+        The family of the filter (:mod:`insemu.filters.families`).
     out_nav, out_var, out_x : (rows, 10), (rows, n), (rows, m) arrays
         Overwritten: navigation state, variances, estimates of the augmented states.
     fix_nu, fix_S, fix_nis, fix_dof, fix_ok, fix_epoch : (f, w), (f, w, w), (f,), (f,), (f,), (f,) arrays
@@ -256,6 +259,9 @@ def run(
     nu, H, R = zeros(nav, width), zeros(nav, (width, n)), zeros(nav, (width, width))
     rows = Rows(nu, H, R)
     rows_after = Rows(zeros(nav, width), zeros(nav, (width, n)), zeros(nav, (width, width)))
+    P_before, room, scale = zeros(nav, (n, n)), zeros(nav, (width, width)), zeros(nav, (kinds, width))
+    scale[:, :] = 1.0
+    nav_moved, before_moved = zeros(nav, nav.size), zeros(nav, nav.size)
     moved = zeros(nav, 6)
     used = zeros(nav, width)
     rejected_from = math.inf + 0.0 * nav[0]
@@ -470,8 +476,9 @@ def run(
                 free = -math.inf
                 if kind == FIX:
                     free = where(t[k] - rejected_from >= timeout, math.inf, -math.inf)
-                nis, dof, ok, bad = update(
-                    P, nu, H, R, used, thresholds, free, dx, fix_S[event], fix_K[event if store else 0]
+                changed = Update(P, P_before, dx, fix_S[event], fix_K[event if store else 0], nav_moved, before_moved, room, scale)
+                nis, dof, ok, bad = absorb(
+                    carry, changed, kind, moment, event_z[event], event_var[event], event_settings[event], rows, used, thresholds, free
                 )
                 if _failed(status, bad, 2):
                     return node
@@ -480,7 +487,7 @@ def run(
                     rejected_from = where(dof > 0.0, rejected, rejected_from)
                 fix_nis[event], fix_dof[event], fix_ok[event] = nis, dof, ok
                 if any_of(ok > 0.0):
-                    take_off(nav, dx)
+                    settle(carry.coordinates, nav, P, dx)
                     for s in range(m):
                         x[place[9 + s]] -= dx[9 + s]
                     if installed:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from insemu.augment import Extras
 from insemu.errors import InputError
 from insemu.filters.aids import Standstill
+from insemu.filters.families import Family
 
 Array = NDArray[np.float64]
 Store = Literal["none", "fixes"]
@@ -98,6 +99,8 @@ class FilterOptions:
         Zero-velocity and zero-rate updates.
     imposed_gnss_sigma : bool
         Use the filter's ``gnss_sigma`` even where the record states its own.
+    family : Family
+        How estimate and covariance are carried over a measurement.
     """
 
     covariance_every: int = 1
@@ -110,6 +113,7 @@ class FilterOptions:
     extras: Extras = field(default_factory=Extras)
     standstill: Standstill | None = None
     imposed_gnss_sigma: bool = False
+    family: Family = field(default_factory=Family)
 
     def rows(self, epochs: int) -> NDArray[np.int64]:
         """The IMU epochs of so many that have a row in the result: every ``output_every``-th and the last."""

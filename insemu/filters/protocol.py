@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError, nearest
 from insemu.filters.ekf import LooselyCoupledEKF
+from insemu.filters.families import FAMILIES, Family
 from insemu.filters.options import FilterOptions, InitialSigma
 from insemu.filters.results import FilterResult
 from insemu.noise import NoiseModel
@@ -65,7 +66,7 @@ def register_filter(name: str, filter: type[NavigationFilter]) -> None:
     InputError
         A name that comes with insemu, or a class without the method ``run``.
     """
-    if name in OWN:
+    if name in {**OWN, **FAMILIES}:
         raise InputError(f"the filter '{name}' comes with insemu, expected another name")
     if not callable(getattr(filter, "run", None)):
         raise InputError(f"the filter '{name}' has no method run(imu, gnss, initial, initial_sigma)")
@@ -83,18 +84,24 @@ class FilterParts:
     gnss_sigma: tuple[Array, Array]
     options: FilterOptions
 
-    def own(self) -> LooselyCoupledEKF:
-        """The filter of this package."""
-        return LooselyCoupledEKF(**vars(self))
+    def made(self, name: str | None, settings: Mapping[str, Any]) -> NavigationFilter:
+        """The filter of a name: a family of the compiled filter, one that comes with insemu, or one that an installed package offers.
 
-    def user(self, name: str, settings: Mapping[str, Any]) -> NavigationFilter:
-        """The filter that an installed package offers under this name.
+        Parameters
+        ----------
+        name : str or None
+            None: the extended Kalman filter.
+        settings : mapping
+            Fields of :class:`~insemu.filters.families.Family`, or keyword arguments of the class.
 
         Raises
         ------
         InputError
-            See :func:`user_filter`; arguments that the class does not take.
+            See :func:`user_filter`; settings that the family or the class does not take.
         """
+        if name is None or name in FAMILIES:
+            options = replace(self.options, family=Family.named(name or "ekf", settings))
+            return LooselyCoupledEKF(**{**vars(self), "options": options})
         offered: Any = user_filter(name)
         try:
             made: NavigationFilter = offered(**vars(self), **settings)
@@ -109,12 +116,8 @@ class FilterParts:
 def _entry(name: str) -> EntryPoint:
     offered = {e.name: e for e in entry_points(group=GROUP)} | OWN
     if name not in offered:
-        hint = (
-            nearest(name, offered | REGISTERED)
-            if len(offered | REGISTERED) > len(OWN)
-            else f" (no installed package offers any under '{GROUP}')"
-        )
-        raise InputError(f"no filter '{name}'" + hint)
+        known = [*FAMILIES, *offered, *REGISTERED]
+        raise InputError(f"no filter '{name}'{nearest(name, known)}; installed packages offer them under '{GROUP}'")
     return offered[name]
 
 
@@ -156,7 +159,7 @@ def user_filter_code(name: str) -> dict[str, Path]:
     InputError
         See :func:`user_filter`.
     """
-    if name in OWN:
+    if name in {**OWN, **FAMILIES}:
         return {}  # the package's own code belongs to every experiment
     if name in REGISTERED:  # a script: its own file alone
         own = getattr(sys.modules.get(REGISTERED[name].__module__), "__file__", None)

@@ -14,7 +14,7 @@ from insemu.augment import Extras
 from insemu.denoise import Rule
 from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError, nearest
-from insemu.filters import FilterOptions, Standstill
+from insemu.filters import FAMILIES, FilterOptions, Standstill
 from insemu.noise import NoiseModel
 from insemu.records import AXES
 from insemu.scenario.designs import shipped_designs, spell_out
@@ -287,11 +287,11 @@ class Design(Section):
     )
     filter: str | None = Field(
         default=None,
-        description="reference: the same filter written to be read (filterpy, slow); or one that an installed package offers (entry point "
-        "insemu.filters); else insemu's own compiled one",
+        description=f"how estimate and covariance are carried: {', '.join(FAMILIES)} (compiled), ukf (compiled, square root), reference (the ekf written to "
+        "be read, filterpy, slow); or one that an installed package offers (entry point insemu.filters); absent: ekf",
     )
     settings: dict[str, bool | int | float | str] = Field(
-        default_factory=dict, description="keyword arguments of that filter"
+        default_factory=dict, description="its settings, for example {limit: 1.345} for huber"
     )
     sensor: str | None = Field(
         default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from insemu.augment import augment
 from insemu.noise import AR1, ARMA, NoiseModel, Process
+from insemu.filters import FAMILIES
 from insemu.scenario.design import Design
 from insemu.scenario.schema import Scenario
 
@@ -47,7 +48,7 @@ def state_names(design: Design, scenario: Scenario | None = None) -> tuple[str, 
         A process that no filter can carry.
     """
     models = structures(design, scenario)
-    if design.filter is not None or any(model is None for model in models.values()):
+    if (design.filter is not None and design.filter not in FAMILIES) or any(model is None for model in models.values()):
         return None
     shapes = {axis: NoiseModel(tuple(map(_any_values, model))) for axis, model in models.items() if model is not None}
     return augment(shapes, 0.01, design.options.states).layout.names
