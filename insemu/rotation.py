@@ -192,3 +192,13 @@ def scalar_dcm(q: Array, c: Array) -> None:
     c[2, 0] = 2.0 * (x * z - w * y)
     c[2, 1] = 2.0 * (y * z + w * x)
     c[2, 2] = w * w - x * x - y * y + z * z
+
+
+@njit(cache=True, nogil=True)
+def scalar_dcm_from_rpy(rpy: Array, c: Array) -> None:
+    """Write the matrix of roll, pitch, heading (3,) into ``c`` (3, 3), as :func:`dcm_from_rpy`."""
+    cr, cp, ch = math.cos(rpy[0]), math.cos(rpy[1]), math.cos(rpy[2])
+    sr, sp, sh = math.sin(rpy[0]), math.sin(rpy[1]), math.sin(rpy[2])
+    c[0, 0], c[0, 1], c[0, 2] = cp * ch, sr * sp * ch - cr * sh, cr * sp * ch + sr * sh
+    c[1, 0], c[1, 1], c[1, 2] = cp * sh, sr * sp * sh + cr * ch, cr * sp * sh - sr * ch
+    c[2, 0], c[2, 1], c[2, 2] = -sp, sr * cp, cr * cp

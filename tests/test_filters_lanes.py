@@ -10,7 +10,7 @@ from numba import njit
 from insemu import lanes, rotation
 from insemu.augment import Extras
 from insemu.errors import InputError
-from insemu.filters import FilterOptions, LooselyCoupledEKF, Standstill
+from insemu.filters import FilterOptions, LooselyCoupledEKF, Standstill, TrueMotion
 from insemu.filters.aids import AIDS
 from insemu.noise import AR, GM, MA, QN, RW, WN, Follows
 from insemu.records import AidRecord, GnssRecord
@@ -57,8 +57,12 @@ def aids_of(road, rng):
     body = np.einsum("kji,kj->ki", C[at], road.nav[at, 3:6])
     heading = rotation.rpy_from_quaternion(road.nav[at, 6:10])[:, 2:]
     settings = {"odometer": (0.3, 0.1, -0.2, 0.01, -0.02, 0.03), "barometer": (0.1, 0.2, 0.3), "heading": (0.05,)}
-    values = {"odometer": body, "barometer": road.nav[at, 2:3], "heading": heading}
-    noise = {"odometer": 0.1, "barometer": 0.5, "heading": 0.02}
+    settings |= {"nonholonomic": settings["odometer"], "magnetometer": (0.05, 1.1, 0.1, -0.2, 2.0), "dual_antenna": (1.0, 0.2, -0.1)}
+    settings |= {"pose": (*road.nav[0, :3], 0.02, 0.01, -1.5)}
+    values = {"odometer": body, "barometer": road.nav[at, 2:3], "heading": heading, "nonholonomic": body[:, 1:]}
+    motion = TrueMotion(road.nav[at, :3], road.nav[at, 3:6], C[at], road.imu.gyro[at])
+    values |= {k: AIDS[k].truth(motion, np.array(settings[k])) for k in ("magnetometer", "dual_antenna", "pose")}
+    noise = dict.fromkeys(values, 0.02) | {"odometer": 0.1, "nonholonomic": 0.1, "barometer": 0.5}
     return [
         AidRecord(
             kind,
@@ -162,7 +166,7 @@ def test_aids_fly_in_lanes(road):
     ekf = LooselyCoupledEKF(cases.MODEL_24, cases.DT, options=asked)
     out = ekf.run_many(imus, gnsses, starts, cases.START_SIGMA, aids=aids)
     for many, *given in zip(out, imus, gnsses, starts, aids, strict=True):
-        assert set(many.fixes.kind) == set(range(5))
+        assert set(many.fixes.kind) == set(range(1 + len(AIDS)))
         # aids and standstill update hundreds of times beside the fixes, and every update rounds
         assert relative(many, ekf.run(*given[:3], cases.START_SIGMA, aids=given[3])) < 1e-11
 

@@ -427,4 +427,4 @@ def test_names_say_once_of_which_aid_and_the_fixes_judge_none(plain, folder) -> 
 
 
 def test_every_aid_that_can_be_emulated_can_be_looked_at() -> None:
-    assert {name for name, aid in AIDS.items() if aid.truth is not None} == set(AID_KINDS)
+    assert {name for name, aid in AIDS.items() if aid.truth is not None} >= set(AID_KINDS)

@@ -28,7 +28,6 @@ from insemu.evaluate.scores import run_scores, sensor_scores
 from insemu.evaluate.stretched import Stretch, StretchedWorld, emulated_world
 from insemu.evaluate.world import Estimate, World, implausible, static_logs, stream
 from insemu.filters import (
-    Family,
     FilterOptions,
     FilterParts,
     FilterResult,
@@ -308,7 +307,7 @@ class Experiment:
             The design names another filter.
         """
         made = self.filter(design)
-        if not isinstance(made, LooselyCoupledEKF) or made.options.family != Family():
+        if not isinstance(made, LooselyCoupledEKF) or not made.first_order:
             name = self.scenario.designs[design].filter
             raise InputError(
                 f"the design '{design}' is the filter '{name}', expected the extended Kalman filter",

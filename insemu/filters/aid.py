@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +19,8 @@ Array = NDArray[np.float64]
 
 #: Most constants that an aid can carry (``AidRecord.settings``).
 SETTINGS = 6
+#: Times are sums of rounded periods, s.
+SLACK = 1e-6
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,8 @@ class Aid:
         True motion and settings (SETTINGS,) to the values (n, rows) of a perfect instrument; None: it is not emulated.
     settings : mapping of str to (unit, size)
         Its constants in their order in ``AidRecord.settings``; all are zero where nothing is said.
+    constraint : bool
+        What it says is zero whatever the vehicle does: no instrument, whose noise and errors it would have.
     """
 
     name: str
@@ -52,6 +57,7 @@ class Aid:
     fill: Callable[..., None]
     truth: Callable[[TrueMotion, Array], Array] | None = None
     settings: Mapping[str, tuple[str, int]] | None = None
+    constraint: bool = False
 
 
 @dataclass(frozen=True)
@@ -67,16 +73,19 @@ class AidUse:
         Standard deviations of its rows, SI.
     settings : tuple of float
         SI.
+    outages : tuple of (start, duration)
+        s; it measures nothing from just after the start to the end.
     """
 
     aid: Aid
     rate: float
     sigma: tuple[float, ...]
     settings: tuple[float, ...] = ()
+    outages: tuple[tuple[float, float], ...] = ()
 
     @classmethod
     def from_mapping(cls, aid: Aid, given: Mapping[str, Any]) -> AidUse:
-        """As a scenario says it: ``rate``, ``sigma`` (one value, or one per row), and the aid's settings.
+        """As a scenario says it: ``rate``, ``sigma`` (one value, or one per row), ``outages`` (pairs of start and duration), and the aid's settings.
 
         Raises
         ------
@@ -84,9 +93,10 @@ class AidUse:
             An unknown or missing key, another number of values, a standard deviation or rate that is not positive.
         """
         constants = aid.settings or {}
+        known = ("rate", "sigma", "outages", *constants)
         for key in given:
-            if key not in ("rate", "sigma", *constants):
-                raise InputError(f"unknown key '{key}'" + nearest(str(key), ("rate", "sigma", *constants)))
+            if key not in known:
+                raise InputError(f"unknown key '{key}'" + nearest(str(key), known))
         if "sigma" not in given:
             raise InputError(
                 f"the key 'sigma' is missing, expected one value or {len(aid.rows)}: {', '.join(aid.rows)}"
@@ -100,7 +110,13 @@ class AidUse:
             for key, (unit, size) in constants.items()
             for v in _numbers(given.get(key, [0.0] * size), [unit] * size, key)
         ]
-        return cls(aid, rate, sigma, tuple(settings))
+        spans = given.get("outages", [])
+        if not isinstance(spans, list | tuple):
+            raise InputError(f"found {spans!r} under 'outages', expected a list of pairs of start and duration")
+        outages = [_numbers(span, ["s", "s"], "outages") for span in spans]
+        if any(not (math.isfinite(start) and 0.0 <= duration < math.inf) for start, duration in outages):
+            raise InputError(f"found {spans!r} under 'outages', expected finite starts and durations that are not negative")
+        return cls(aid, rate, sigma, tuple(settings), tuple((start, duration) for start, duration in outages))
 
     def to_mapping(self) -> dict[str, Any]:
         """Inverse of :meth:`from_mapping`, in SI."""
@@ -109,11 +125,14 @@ class AidUse:
         for key, (_, size) in (self.aid.settings or {}).items():
             out[key] = list(self.settings[at : at + size])
             at += size
-        return out
+        return out | ({"outages": [list(span) for span in self.outages]} if self.outages else {})
 
     def times(self, t: Array) -> Array:
         """When it measures within the epochs ``t`` (n,) of an IMU, s."""
-        return np.arange(t[0] + 1.0 / self.rate, t[-1], 1.0 / self.rate)
+        out = np.arange(t[0] + 1.0 / self.rate, t[-1], 1.0 / self.rate)
+        for start, duration in self.outages:
+            out = out[(out <= start + SLACK) | (out > start + duration + SLACK)]
+        return out
 
     def record(
         self, t: Array, motion: TrueMotion, rng: np.random.Generator | None, effects: Sequence[EffectUse] = ()
@@ -135,7 +154,9 @@ class AidUse:
         settings[: len(self.settings)] = self.settings
         values = self.aid.truth(motion, settings)
         std = np.broadcast_to(self.sigma, values.shape)
-        if rng is None:
+        if self.aid.constraint:
+            values = np.zeros_like(values)
+        if rng is None or self.aid.constraint:
             return AidRecord(self.aid.name, t, values, std, self.settings)
         noise = std * rng.standard_normal(values.shape)
         errors = aid_errors(self.aid.name, t, values, effects, rng)

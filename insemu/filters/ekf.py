@@ -18,6 +18,7 @@ from insemu.filters import following, kernel
 from insemu.filters.buffers import Buffers
 from insemu.filters.events import FIX_ROWS, SAME_TIME, Events, GnssSigma, aid_events, fix_events, joined
 from insemu.filters.events import side_by_side as beside
+from insemu.filters.families import Family
 from insemu.filters.measurements import FIX
 from insemu.filters.options import FilterOptions, InitialSigma, three_sigmas
 from insemu.filters.packed import pack
@@ -142,6 +143,11 @@ class LooselyCoupledEKF:
             gnss_sigma=self.gnss_sigma,
             options=options,
         )
+
+    @property
+    def first_order(self) -> bool:
+        """Whether it is the extended Kalman filter itself, which linear analyses hold for."""
+        return self.options.family == Family()
 
     @property
     def layout(self) -> StateLayout:

@@ -26,7 +26,10 @@ Array = NDArray[np.float64]
 #: Group of entry points under which packages offer their filters.
 GROUP = "insemu.filters"
 #: Filters that come with insemu beside the compiled one, by the name that a scenario gives.
-OWN = {"reference": EntryPoint("reference", "insemu.filters.reference:ReferenceEKF", GROUP)}
+OWN = {
+    name: EntryPoint(name, f"insemu.filters.{place}", GROUP)
+    for name, place in (("reference", "reference:ReferenceEKF"), ("ukf", "unscented:UnscentedKalmanFilter"))
+}
 
 
 @runtime_checkable

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,19 +10,19 @@ from insemu.filters.aid import Aid, TrueMotion
 from insemu.filters.measurements import against_earth
 from insemu.filters.rows import Moment, Rows
 from insemu.lanes import zeros
-from insemu.rotation import dcm_from_rpy, scalar_dcm
+from insemu.rotation import dcm_from_rpy, scalar_dcm, scalar_dcm_from_rpy
 
 Array = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True)
-def _fill(moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
+def fill_velocity(moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
     """Velocity of the wheel in vehicle axes; see :mod:`insemu.filters.rows`."""
     nav, axis, c_of = moment.nav, moment.axis, moment.c_of
     nu, H, R = rows.nu, rows.H, rows.R
     C, M, T = zeros(nav, (3, 3)), np.empty((3, 3)), zeros(nav, (3, 3))
     before, now, omega = zeros(nav, 3), zeros(nav, 3), zeros(nav, 3)
-    _mounting(settings, M)
+    scalar_dcm_from_rpy(settings[3:6], M)
     _in_vehicle(moment.nav_before, M, C, T, before)
     _in_vehicle(nav, M, C, T, now)
     against_earth(nav, C, moment.mean_rate, omega)
@@ -50,16 +48,6 @@ def _fill(moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _mounting(settings: Array, M: Array) -> None:
-    """IMU axes to vehicle axes ``M`` (3, 3), overwritten."""
-    cr, cp, cy = math.cos(settings[3]), math.cos(settings[4]), math.cos(settings[5])
-    sr, sp, sy = math.sin(settings[3]), math.sin(settings[4]), math.sin(settings[5])
-    M[0, 0], M[0, 1], M[0, 2] = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
-    M[1, 0], M[1, 1], M[1, 2] = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
-    M[2, 0], M[2, 1], M[2, 2] = -sp, sr * cp, cr * cp
-
-
-@njit(cache=True, nogil=True)
 def _in_vehicle(nav: Array, M: Array, C: Array, T: Array, v: Array) -> None:
     """Body to NED ``C``, NED to vehicle ``T`` (both (3, 3)) and the velocity ``v`` (3,) of the IMU in vehicle axes, overwritten."""
     scalar_dcm(nav[6:10], C)
@@ -79,7 +67,7 @@ def truth(motion: TrueMotion, settings: Array) -> Array:
 AID = Aid(
     "odometer",
     {"forward": "m/s", "sideways": "m/s", "down": "m/s"},
-    _fill,
+    fill_velocity,
     truth,
     {"lever_arm": ("m", 3), "mounting": ("rad", 3)},
 )
