@@ -155,7 +155,9 @@ def test_the_jacobian_of_a_fix_is_its_derivative():
             nu, H, R = np.empty(6), np.empty((6, 16)), np.empty((6, 6))
             z = np.concatenate([nav[:3], nav[3:6]])
             trend = np.concatenate([acceleration, np.zeros(6), r])
-            moment = Moment(moved, before, DT, tau + error[15], r, r, r, 1, white, c, axis, lever + error[12:15], 12, 15, trend)
+            moment = Moment(
+                moved, before, DT, tau + error[15], r, r, r, 1, white, c, axis, lever + error[12:15], 12, 15, trend
+            )
             fill_rows(measurements.FIX, moment, z, np.zeros(6), Rows(nu, H, R))
             return -nu, H
 

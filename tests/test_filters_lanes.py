@@ -57,7 +57,11 @@ def aids_of(road, rng):
     body = np.einsum("kji,kj->ki", C[at], road.nav[at, 3:6])
     heading = rotation.rpy_from_quaternion(road.nav[at, 6:10])[:, 2:]
     settings = {"odometer": (0.3, 0.1, -0.2, 0.01, -0.02, 0.03), "barometer": (0.1, 0.2, 0.3), "heading": (0.05,)}
-    settings |= {"nonholonomic": settings["odometer"], "magnetometer": (0.05, 1.1, 0.1, -0.2, 2.0), "dual_antenna": (1.0, 0.2, -0.1)}
+    settings |= {
+        "nonholonomic": settings["odometer"],
+        "magnetometer": (0.05, 1.1, 0.1, -0.2, 2.0),
+        "dual_antenna": (1.0, 0.2, -0.1),
+    }
     settings |= {"pose": (*road.nav[0, :3], 0.02, 0.01, -1.5)}
     values = {"odometer": body, "barometer": road.nav[at, 2:3], "heading": heading, "nonholonomic": body[:, 1:]}
     motion = TrueMotion(road.nav[at, :3], road.nav[at, 3:6], C[at], road.imu.gyro[at])

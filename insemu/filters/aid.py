@@ -115,7 +115,9 @@ class AidUse:
             raise InputError(f"found {spans!r} under 'outages', expected a list of pairs of start and duration")
         outages = [_numbers(span, ["s", "s"], "outages") for span in spans]
         if any(not (math.isfinite(start) and 0.0 <= duration < math.inf) for start, duration in outages):
-            raise InputError(f"found {spans!r} under 'outages', expected finite starts and durations that are not negative")
+            raise InputError(
+                f"found {spans!r} under 'outages', expected finite starts and durations that are not negative"
+            )
         return cls(aid, rate, sigma, tuple(settings), tuple((start, duration) for start, duration in outages))
 
     def to_mapping(self) -> dict[str, Any]:

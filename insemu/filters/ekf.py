@@ -107,7 +107,9 @@ class LooselyCoupledEKF:
         self.options = options or FilterOptions()
         self.augmentation = augment(belief, dt, self.options.extras)
         if self.options.family.again and self.options.extras.latency > 0:
-            raise InputError("a filter that linearizes a measurement again carries no state of the latency, expected latency 0")
+            raise InputError(
+                "a filter that linearizes a measurement again carries no state of the latency, expected latency 0"
+            )
         self.dt = dt
         self.gravity = gravity
         self._gravity = earth.gravity_code(gravity)
@@ -324,7 +326,8 @@ class LooselyCoupledEKF:
                 SAME_TIME * self.dt,
                 events.first_of, events.next_alike, events.t, events.epoch, events.kind, events.since, events.tau,
                 stacked(e.z for e in each), stacked(e.var for e in each), events.settings, cov_epoch, node_epoch,
-                o.store == "fixes", o.family.carry, v["nav"], v["var"], v["x"], v["nu"], v["S"], v["nis"], v["dof"], v["ok"], v["epoch"], v["K"], v["H"],
+                o.store == "fixes", o.family.carry, v["nav"], v["var"], v["x"], v["nu"], v["S"], v["nis"], v["dof"], v["ok"], v["epoch"], v["K"],
+                v["H"],
                 v["P"], v["node_at"], v["node_nav"], v["node_x"], v["before"], v["after"], v["phi"], v["node_dx"], v["last"],
                 lanes.lanes_of(status) if side_by_side else status,
             )  # fmt: skip

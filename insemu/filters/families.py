@@ -1,19 +1,20 @@
 """Families of filters: ways to carry an estimate and its covariance over the same rows, propagation and states of the sensors.
 
-A family says in which coordinates the error is held when the estimate moves, how often a measurement is linearized, how a residual is weighted, and whether
-the noise of a measurement is learnt. All of this happens where something is measured: between measurements the linear map of the errors along one trajectory is
-the same whatever coordinates name them.
+A family says in which coordinates the error is held when the estimate moves, how often a measurement is linearized, how a residual is weighted, and
+whether the noise of a measurement is learnt. All of this happens where something is measured: between measurements the linear map of the errors
+along one trajectory is the same whatever coordinates name them.
 
-**Invariant filters** (Barrau & Bonnabel 2017). Attitude, velocity and position are an element of SE_2(3). With position error dp, velocity error dv and attitude
-error phi of :mod:`insemu.strapdown`, to first order the right-invariant error is ``(phi, dv + v x phi, dp + p x phi)`` and the left-invariant one ``C' (phi, dv,
-dp)``. An invariant filter holds the covariance of *its* error over an update, and the estimate moves along the group's exponential. In the coordinates
-(dp, dv, phi) that is for both: the correction of position and velocity is turned by the left Jacobian of SO(3) at -phi. The covariance of (dp, dv, phi) is then
-turned by ``exp(-phi)`` (left), or position and velocity errors take up ``dp x phi`` and ``dv x phi`` (right): no origin of the positions remains.
-States of the sensors are added as they are (the imperfect filter of that paper, section V).
+**Invariant filters** (Barrau & Bonnabel 2017). Attitude, velocity and position are an element of SE_2(3). With position error dp, velocity error dv
+and attitude error phi of :mod:`insemu.strapdown`, to first order the right-invariant error is ``(phi, dv + v x phi, dp + p x phi)`` and the
+left-invariant one ``C' (phi, dv, dp)``. An invariant filter holds the covariance of *its* error over an update, and the estimate moves along the
+group's exponential. In the coordinates (dp, dv, phi) that is for both: the correction of position and velocity is turned by the left Jacobian of
+SO(3) at -phi. The covariance of (dp, dv, phi) is then turned by ``exp(-phi)`` (left), or position and velocity errors take up ``dp x phi`` and ``dv
+x phi`` (right): no origin of the positions remains. States of the sensors are added as they are (the imperfect filter of that paper, section V).
 
 **Iterated** (Bell & Cathey 1993): a measurement is linearized again at the estimate that it gave, Gauss-Newton on the posterior.
 **Huber, Student t**: weights of the components by their residuals, iterated (Huber 1981; Roth, Ozkan, Gustafsson 2013).
-**Adaptive**: variances of the measured values follow the mean of squared innovations less what the filter's covariance explains (Mohamed & Schwarz 1999).
+**Adaptive**: variances of the measured values follow the mean of squared innovations less what the filter's covariance explains (Mohamed & Schwarz
+1999).
 """
 
 from __future__ import annotations

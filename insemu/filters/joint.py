@@ -96,9 +96,7 @@ def _fixes(
             z[j] = nav[k, j]
         dt = t[k] - t[k - 1]
         rate, rate_before = gyro[k] / dt, gyro[before] / (t[before] - t[before - 1])
-        moment = Moment(
-            now, past, dt, tau[i], rate, rate_before, rate, 1, white, c_of[i], axis, lever, -1, -1, trend
-        )
+        moment = Moment(now, past, dt, tau[i], rate, rate_before, rate, 1, white, c_of[i], axis, lever, -1, -1, trend)
         fill_fix(moment, z, trend, Rows(nu[i], H[i], R[i]))
 
 

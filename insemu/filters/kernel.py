@@ -476,9 +476,21 @@ def run(
                 free = -math.inf
                 if kind == FIX:
                     free = where(t[k] - rejected_from >= timeout, math.inf, -math.inf)
-                changed = Update(P, P_before, dx, fix_S[event], fix_K[event if store else 0], nav_moved, before_moved, room, scale)
+                changed = Update(
+                    P, P_before, dx, fix_S[event], fix_K[event if store else 0], nav_moved, before_moved, room, scale
+                )
                 nis, dof, ok, bad = absorb(
-                    carry, changed, kind, moment, event_z[event], event_var[event], event_settings[event], rows, used, thresholds, free
+                    carry,
+                    changed,
+                    kind,
+                    moment,
+                    event_z[event],
+                    event_var[event],
+                    event_settings[event],
+                    rows,
+                    used,
+                    thresholds,
+                    free,
                 )
                 if _failed(status, bad, 2):
                     return node

@@ -79,7 +79,14 @@ def fill_fix(moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
     rows : Rows
         Overwritten.
     """
-    nav, nav_before, dt, tau, rate, rate_before = moment.nav, moment.nav_before, moment.dt, moment.tau, moment.rate, moment.rate_before
+    nav, nav_before, dt, tau, rate, rate_before = (
+        moment.nav,
+        moment.nav_before,
+        moment.dt,
+        moment.tau,
+        moment.rate,
+        moment.rate_before,
+    )
     lever, lever_at, latency_at, trend = moment.lever, moment.lever_at, moment.latency_at, moment.trend
     white, c_of, axis = moment.white, moment.c_of, moment.axis
     nu, H, R = rows.nu, rows.H, rows.R

@@ -1,7 +1,8 @@
 """The one form of every measurement: at one moment, rows of measured minus predicted values, their Jacobian and their noise.
 
-A fix and every aid is a compiled function ``fill(moment, z, settings, rows)``. A filter family (:mod:`insemu.filters.families`) is a way to carry state and
-covariance that asks for these rows wherever it needs them: once at its estimate, again after an iteration, or at each of its sigma points.
+A fix and every aid is a compiled function ``fill(moment, z, settings, rows)``. A filter family (:mod:`insemu.filters.families`) is a way to carry
+state and covariance that asks for these rows wherever it needs them: once at its estimate, again after an iteration, or at each of its sigma
+points.
 """
 
 from __future__ import annotations

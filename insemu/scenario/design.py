@@ -287,8 +287,8 @@ class Design(Section):
     )
     filter: str | None = Field(
         default=None,
-        description=f"how estimate and covariance are carried: {', '.join(FAMILIES)} (compiled), ukf (compiled, square root), reference (the ekf written to "
-        "be read, filterpy, slow); or one that an installed package offers (entry point insemu.filters); absent: ekf",
+        description=f"how estimate and covariance are carried: {', '.join(FAMILIES)} (compiled), ukf (compiled, square root), reference (the ekf "
+        "written to be read, filterpy, slow); or one that an installed package offers (entry point insemu.filters); absent: ekf",
     )
     settings: dict[str, bool | int | float | str] = Field(
         default_factory=dict, description="its settings, for example {limit: 1.345} for huber"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from insemu.augment import augment
-from insemu.noise import AR1, ARMA, NoiseModel, Process
 from insemu.filters import FAMILIES
+from insemu.noise import AR1, ARMA, NoiseModel, Process
 from insemu.scenario.design import Design
 from insemu.scenario.schema import Scenario
 

@@ -1,6 +1,7 @@
 """Pose from outside (cameras, lidar, motion capture): position from an origin and roll, pitch, heading of a body fixed to the IMU.
 
-The position is in metres north, east and down by the radii of curvature at the origin. The body sits at the IMU; ``mounting`` turns IMU axes into its axes.
+The position is in metres north, east and down by the radii of curvature at the origin. The body sits at the IMU; ``mounting`` turns IMU axes into
+its axes.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ def _fill(moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
 
 def truth(motion: TrueMotion, settings: Array) -> Array:
     """Position from the origin, m, and roll, pitch, heading, rad."""
-    lat, lon, h = settings[0:3]
+    lat, _, h = settings[0:3]
     rm, rn = radii(lat)
     scale = np.array([rm + h, (rn + h) * math.cos(lat), -1.0])
     away = motion.llh - settings[0:3]
