@@ -20,7 +20,7 @@ from insemu.records import AidRecord
 from tests import filter_cases as cases
 from tests.budget import chi_square, chi_square_power, statistical
 from tests.filter_cases import DT, MODEL_15, START_SIGMA
-from tests.test_aids import EMULATED, record
+from tests.test_aids import EMULATED, motion_of, record, use
 from tests.test_filters_matched import halved
 
 NAMES = (*FAMILIES, "ukf")
@@ -32,10 +32,10 @@ def made(name, model=MODEL_15, settings=None, **options):
     return parts.made(name, settings or {})
 
 
-def flown(road, seed, sigma=START_SIGMA, **fixes):
+def flown(road, seed, begun=START_SIGMA, **fixes):
     rng = np.random.default_rng(seed)
     imu = cases.corrupt(road.imu, MODEL_15, rng)
-    return imu, cases.fixes(road, rng, **fixes), cases.start(road, rng, sigma)
+    return imu, cases.fixes(road, rng, **fixes), cases.start(road, rng, begun)
 
 
 def matched(name, runs, seconds, at, model=MODEL_15, outages=OUTAGE):
@@ -87,9 +87,12 @@ def test_two_hundred_matched_flights_of_a_family(name):
 
 def test_families_agree_where_errors_are_small():
     """Root mean square errors within 1 % of those of the ekf; the robust ones where they weight nothing, the adaptive one with a long memory."""
-    road, sigma, at = cases.drive(40.0), InitialSigma(0.2, 0.05, 0.002), np.array([10, 30, 40])
+    road, sigma, at = cases.drive(40.0), InitialSigma(0.02, 0.005, 5e-4), np.array([10, 30, 40])
     flights = [
-        list(part) for part in zip(*(flown(road, 30 + k, sigma, outages=OUTAGE) for k in range(24)), strict=True)
+        list(part)
+        for part in zip(
+            *(flown(road, 30 + k, sigma, outages=OUTAGE, sigma=(0.005, 0.003)) for k in range(24)), strict=True
+        )
     ]
     settings = {"huber": {"limit": 6.0}, "student-t": {"limit": 1e4}, "adaptive": {"window": 1e4}}
 
@@ -128,8 +131,8 @@ def test_an_invariant_update_keeps_the_covariance_of_its_error(name):
             T[:9, :9] = np.kron(np.eye(3), C.T)
         else:
             T[:3, 6:9], T[3:6, 6:9] = (
-                -skew(-strapdown.navigation_errors(nav[None, :10], first[None])[0, :3]),
-                -skew(-nav[3:6]),
+                skew(strapdown.navigation_errors(nav[None, :10], first[None])[0, :3]),
+                skew(nav[3:6]),
             )
         return T
 
@@ -141,7 +144,7 @@ def test_an_invariant_update_keeps_the_covariance_of_its_error(name):
     np.testing.assert_allclose(after, before, atol=2e-5 * np.abs(before).max())
     # the group's exponential at the negative error, as a 5 x 5 matrix
     X = np.zeros((5, 5))
-    X[:3, :3], X[:3, 3], X[:3, 4] = skew(-dx[6:9]).T, -dx[3:6], -dx[:3]
+    X[:3, :3], X[:3, 3], X[:3, 4] = skew(-dx[6:9]), -dx[3:6], -dx[:3]
     G, term = np.eye(5), np.eye(5)
     for k in range(1, 30):
         term = term @ X / k
@@ -220,9 +223,9 @@ def test_an_iterated_family_uses_a_curved_measurement_better():
     """A pose's attitude at a tilt known to 40 deg: one linearization leaves more than the noise, five do not."""
     road = cases.drive(4.0)
     imu, _, start = flown(road, 2, InitialSigma(0.1, 0.1, 0.0))
-    rng = np.random.default_rng(11)
-    pose = replace(record(road, "pose", 4), since=None)
-    pose = AidRecord("pose", pose.t[:1], pose.values[:1], np.tile([0.01] * 3 + [1e-3] * 3, (1, 1)), pose.settings)
+    rng, it, t = np.random.default_rng(11), use("pose"), road.t[50:51]
+    values = it.aid.truth(motion_of(road, t), np.array(it.settings))
+    pose = AidRecord("pose", t, values, np.array([[0.01] * 3 + [1e-3] * 3]), it.settings)
     worst = {"ekf": [], "iterated": []}
     for _ in range(20):
         turned = strapdown.NavState(start.llh, start.vel_ned, start.rpy + rng.standard_normal(3) * 0.4)
@@ -236,7 +239,8 @@ def test_an_iterated_family_uses_a_curved_measurement_better():
 def test_the_unscented_filter_is_the_ekf_where_all_is_linear():
     """At full and reduced rate of the covariance, with aids, a gate and states of the installation."""
     road = cases.drive(20.0)
-    imu, gnss, start = flown(road, 1, lever_arm=(0.5, 0.2, -1.0))
+    sigma = InitialSigma(0.1, 0.05, 0.003)
+    imu, gnss, start = flown(road, 1, sigma, lever_arm=(0.5, 0.2, -1.0))
     aids = [record(road, name, 4) for name in EMULATED]
     extras = Extras(gyro_scale=1e-3, lever_arm=0.05)
     for every in (1, 10):
@@ -247,7 +251,7 @@ def test_the_unscented_filter_is_the_ekf_where_all_is_linear():
             "covariance_at": (10.0,),
             "gate": 1e-6,
         }
-        ekf, ukf = (made(name, **options).run(imu, gnss, start, START_SIGMA, aids=aids) for name in ("ekf", "ukf"))
+        ekf, ukf = (made(name, **options).run(imu, gnss, start, sigma, aids=aids) for name in ("ekf", "ukf"))
         np.testing.assert_allclose(ukf.sigma[1:], ekf.sigma[1:], rtol=0.02)
         assert (np.abs(strapdown.navigation_errors(ukf.nav, ekf.nav)) < 0.1 * ekf.sigma[:, :9]).all()
         np.testing.assert_array_equal(ukf.fixes.accepted, ekf.fixes.accepted)
