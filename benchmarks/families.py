@@ -37,14 +37,14 @@ def made(name: str, model: dict, **options: object):
 
 
 def drawn(
-    road: cases.Drive, count: int, sigma: InitialSigma, start: Callable[..., NavState] = cases.start, **fixes: object
+    road: cases.Drive, count: int, begun: InitialSigma, start: Callable[..., NavState] = cases.start, **fixes: object
 ) -> list[Flight]:
     """Flights along one road."""
     out = []
     for k in range(count):
         rng = np.random.default_rng(k)
         imu = cases.corrupt(road.imu, cases.MODEL_15, rng)
-        out.append((imu, cases.fixes(road, rng, **fixes), start(road, rng, sigma)))
+        out.append((imu, cases.fixes(road, rng, **fixes), start(road, rng, begun)))
     return out
 
 

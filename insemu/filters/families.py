@@ -136,7 +136,7 @@ FAMILIES: dict[str, Family] = {
     "iekf-right": Family(coordinates="right"),
     "iterated": Family(iterations=5, again=True),
     "huber": Family(iterations=5, loss="huber"),
-    "student-t": Family(iterations=5, loss="student-t", limit=10.0),
+    "student-t": Family(iterations=5, loss="student-t", limit=20.0),
     "adaptive": Family(window=100.0),
 }
 
@@ -271,7 +271,7 @@ def _rows_at(u: Update, kind: int, moment: Moment, z: Array, settings: Array, ro
     take_off(u.nav, u.dx)
     take_off(u.nav_before, u.dx)
     here = Moment(
-        u.nav, u.nav_before, moment.dt, moment.tau, moment.rate, moment.rate_before, moment.mean_rate, moment.count, moment.white, moment.c_of,
+        u.nav, u.nav_before, moment.dt, moment.tau, moment.rate, moment.rate_before, moment.mean_rate, moment.samples, moment.white, moment.c_of,
         moment.axis, moment.lever, moment.lever_at, moment.latency_at, moment.trend,
     )  # fmt: skip
     fill_rows(kind, here, z, settings, rows)

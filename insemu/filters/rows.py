@@ -27,7 +27,7 @@ class Moment(NamedTuple):
         s; the measurement was valid ``tau`` seconds before this epoch. An aid is less than ``dt`` old.
     rate, rate_before : (3,) arrays
         Corrected mean angular rates over the last two steps, body axes, rad/s.
-    mean_rate, count : (3,) array, int
+    mean_rate, samples : (3,) array, int
         Corrected angular rate averaged since ``AidRecord.since``, rad/s, and over how many samples.
     white : (6,) array
         Variances of the axes' white noise per sample, (rad/s)^2 and (m/s^2)^2.
@@ -48,7 +48,7 @@ class Moment(NamedTuple):
     rate: Array
     rate_before: Array
     mean_rate: Array
-    count: int
+    samples: int
     white: Array
     c_of: Array
     axis: Ints

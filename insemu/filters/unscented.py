@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 def _root(P: Array) -> Array:
     """Lower factor of a covariance that may be singular."""
     values, vectors = np.linalg.eigh(P)
-    upper = np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T, mode="r")
+    upper = np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1]
     return np.ascontiguousarray((upper * np.where(np.diag(upper) < 0.0, -1.0, 1.0)[:, None]).T)
 
 
@@ -166,12 +166,9 @@ class UnscentedKalmanFilter(LooselyCoupledEKF):
         """As :meth:`LooselyCoupledEKF.run_many`, one after the other."""
         out: list[Any] = []
         for k, given in enumerate(zip(imus, gnsses, initials, strict=True)):
-            more = {
-                "aids": () if aids is None else aids[k],
-                "initial_states": None if initial_states is None else initial_states[k],
-            }
+            beside, begun = () if aids is None else aids[k], None if initial_states is None else initial_states[k]
             try:
-                out.append(self.run(*given, initial_sigma, **more))
+                out.append(self.run(*given, initial_sigma, aids=beside, initial_states=begun))
             except InputError as error:
                 out.append(error)
         return out

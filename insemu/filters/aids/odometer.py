@@ -38,7 +38,7 @@ def fill_velocity(moment: Moment, z: Array, settings: Array, rows: Rows) -> None
             nu[i] -= by_rate[i, k] * omega[k]
             H[i, 3 + k] = T[i, k]
             for j in range(3):
-                R[i, j] += by_rate[i, k] * by_rate[j, k] * moment.white[k] / moment.count
+                R[i, j] += by_rate[i, k] * by_rate[j, k] * moment.white[k] / moment.samples
         H[i, 6] = T[i, 1] * nav[5] - T[i, 2] * nav[4]
         H[i, 7] = T[i, 2] * nav[3] - T[i, 0] * nav[5]
         H[i, 8] = T[i, 0] * nav[4] - T[i, 1] * nav[3]

@@ -70,7 +70,7 @@ def _fill(moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
         nu[i] = -nav[3 + i]
         H[i, 3 + i] = 1.0
         nu[3 + i] = -omega[i]
-        R[3 + i, 3 + i] = moment.white[i] / moment.count
+        R[3 + i, 3 + i] = moment.white[i] / moment.samples
         # the Earth's rate in body axes moves with the attitude error: -C' (w_ie x phi) ... = -[C' w_ie] as seen by phi
         H[3 + i, 6] = -(C[1, i] * we_d)
         H[3 + i, 7] = C[0, i] * we_d - C[2, i] * we_n
