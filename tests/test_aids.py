@@ -201,6 +201,25 @@ def test_a_scenario_emulates_aids_and_a_file_keeps_them(tmp_path):
                 np.testing.assert_array_equal(getattr(a, part), getattr(back[a.kind], part))
 
 
+def test_an_aid_has_outages_and_a_constraint_is_zero_whatever_the_vehicle_does():
+    aids = {
+        "nonholonomic": {
+            "rate": "2 Hz",
+            "sigma": 0.1,
+            "lever_arm": ["1 m", 0, 0],
+            "outages": [["10 s", "5 s"], [30, 2.5]],
+        },
+        "pose": {"sigma": ["1 m", "1 m", "1 m", "1 deg", "1 deg", "1 deg"], "latitude": "46 deg", "longitude": "7 deg"},
+    }
+    made = EmulatedWorld(validated({**FLIGHT, "aids": aids}))
+    constraint, pose = made.recording(0).aids
+    assert (constraint.values == 0.0).all() and np.ptp(pose.values[:, 0]) > 1.0
+    missing = np.setdiff1d(np.round(np.arange(1, 120) * 0.5, 6), np.round(constraint.t, 6))
+    np.testing.assert_allclose(missing, [*np.arange(10.5, 15.1, 0.5), *np.arange(30.5, 32.6, 0.5)])
+    again = [AidUse.from_mapping(u.aid, u.to_mapping()) for u in validated({**FLIGHT, "aids": aids}).aids]
+    assert tuple(again) == validated({**FLIGHT, "aids": aids}).aids and again[0].outages == ((10.0, 5.0), (30.0, 2.5))
+
+
 @pytest.mark.parametrize(
     ("aids", "words"),
     [
@@ -210,6 +229,9 @@ def test_a_scenario_emulates_aids_and_a_file_keeps_them(tmp_path):
         ({"barometer": {"sigma": 0}}, "expected a positive rate"),
         ({"barometer": {"sigma": 1, "lever": [0, 0, 0]}}, "unknown key 'lever'"),
         ({"barometer": {"sigma": "1 deg"}}, "deg"),
+        ({"barometer": {"sigma": 1, "outages": "10 s"}}, "expected a list of pairs of start and duration"),
+        ({"barometer": {"sigma": 1, "outages": [[10, -5]]}}, "durations that are not negative"),
+        ({"barometer": {"sigma": 1, "outages": [[10]]}}, "under 'outages', expected 2 in s, s"),
         ({"standstill": {"sigma": 1}}, "no aid 'standstill' to emulate"),
         (["odometer"], "expected the name of an aid"),
     ],

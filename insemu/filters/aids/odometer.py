@@ -17,7 +17,18 @@ Array = NDArray[np.float64]
 
 @njit(cache=True, nogil=True)
 def fill_velocity(moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
-    """Velocity of the wheel in vehicle axes; see :mod:`insemu.filters.rows`."""
+    """Velocity of the wheel in vehicle axes (:mod:`insemu.filters.rows`).
+
+    Parameters
+    ----------
+    moment : Moment
+    z : (3,) array
+        Forward, sideways, down, m/s.
+    settings : (6,) array
+        Lever arm from the IMU, m, and mounting, rad.
+    rows : Rows
+        Overwritten, three of them.
+    """
     nav, axis, c_of = moment.nav, moment.axis, moment.c_of
     nu, H, R = rows.nu, rows.H, rows.R
     C, M, T = zeros(nav, (3, 3)), np.empty((3, 3)), zeros(nav, (3, 3))
