@@ -71,8 +71,8 @@ def errors(
 def large(count: int) -> dict[str, dict[str, int]]:
     """Flights that converge, by case and family."""
     deg = np.deg2rad
-    road, long = cases.later(cases.drive(100.0), 40.0), cases.later(cases.drive(340.0), 40.0)
-    outage = ((60.0, 240.0),)
+    road, long = cases.later(cases.drive(100.0), 40.0), cases.later(cases.drive(290.0), 40.0)
+    outage = ((60.0, 190.0),)
     kinds = {
         "heading unknown": (road, InitialSigma(1.0, 0.2, (deg(1), deg(1), np.pi / np.sqrt(3))), unknown_heading, {}),
         "tilt of 30 deg": (road, InitialSigma(1.0, 0.2, (deg(30), deg(30), deg(30))), cases.start, {}),
@@ -83,7 +83,7 @@ def large(count: int) -> dict[str, dict[str, int]]:
         flights = drawn(way, count, sigma, start, sigma=SIGMA, **fixes)
         found[case] = {}
         for name in NAMES:
-            e, _ = errors(name, way, flights, sigma, [240.0, 300.0] if fixes else [1.0, 60.0])
+            e, _ = errors(name, way, flights, sigma, [190.0, 250.0] if fixes else [1.0, 60.0])
             before, last = e[:, 0], e[:, 1]
             if fixes and name == "ekf":
                 print(
