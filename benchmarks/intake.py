@@ -17,10 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from insemu import earth, rotation
-from insemu.cli.open import read
 from insemu.errors import InputError
 from insemu.formats import Opened, open_files, write
-from insemu.intake import Card, examine
+from insemu.intake import Card, examine, take
 from insemu.records import GnssRecord, ImuRecord, Recording
 from tests.shared_data import shared
 from tests.wrong_recordings import flown, right
@@ -98,7 +97,7 @@ def commands(card: Card | None, error: str) -> list[dict[str, str]]:
 def opened(path: Path, gnss: str, options: dict[str, str]) -> tuple[Opened | None, Card | None, str]:
     line = ", ".join(x for x in (options.get("map", ""), f"rate={options['rate']}" if "rate" in options else "") if x)
     try:
-        found, card = read(path, gnss, "", (line, options.get("gnss-map", ""), ""))
+        found, card = take(path, gnss=gnss, maps=(line, options.get("gnss-map", ""), ""))
         return found, card, ""
     except InputError as error:
         return None, None, str(error)
