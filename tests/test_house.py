@@ -144,7 +144,9 @@ def stale_imports() -> set[str]:
 
 
 @pytest.mark.parametrize(
-    "check", [long_modules, long_functions, undocumented, circles, past_doors, stale_imports], ids=lambda check: check.__name__
+    "check",
+    [long_modules, long_functions, undocumented, circles, past_doors, stale_imports],
+    ids=lambda check: check.__name__,
 )
 def test_nothing_exceeds_a_limit(check: Callable[[], set[str]]) -> None:
     assert sorted(check()) == [], check.__doc__
