@@ -119,7 +119,7 @@ def test_a_sensor_that_is_late_is_moved(tmp_path: Path, line: str, gyro: float, 
     np.testing.assert_array_equal(t, np.arange(1.0, 8.0) if gyro > 0.0 else np.arange(3.0, 10.0))
     np.testing.assert_allclose(found.imu.gyro[:, 0], t + 1.0 + gyro, rtol=1e-13)
     np.testing.assert_allclose(found.imu.accel[:, 0], t + 4.0 + accel, rtol=1e-13)
-    with pytest.raises(InputError, match="moves a sensor by 7.5 s, more than the record of 8 s holds"):
+    with pytest.raises(InputError, match=r"moves a sensor by 7\.5 s, more than the record of 8 s holds"):
         open_files(table(tmp_path, rows=9), maps=(f"{PLAIN}, accel_shift=7.5 s", "", ""))
 
 
