@@ -89,7 +89,7 @@ def test_what_was_taken_and_assumed_is_said(tmp_path: Path) -> None:
     found = imu(tmp_path, "time=a, gyro=b -c d, accel=e f g[g], temperature=h, axes=FLU, mount=0 0 90")
     assert found.taken == (
         "gyro from b -c d of x.csv", "accel from e f g (g) of x.csv", "temperature from h (plain) of x.csv",
-        "axes turned into forward-right-down (axes=FLU, mount=0 0 90)",
+        "nothing from i of x.csv", "axes turned into forward-right-down (axes=FLU, mount=0 0 90)",
     )  # fmt: skip
     assert found.assumed == ("gyro in rad/s: x.csv states no unit",)
     assert found.imu is not None
@@ -410,6 +410,10 @@ def test_axes_of_all_right_handed_triples() -> None:
          "time=time, vel_ned=vn ve vd, pos_std_ned=std_n std_e std_d, vel_std_ned=std_vn std_ve std_vd, lat=lat, lon=lon, height=h"),
         ("time lat lon h sigma_n sigma_e sigma_u sigma_vn sigma_ve sigma_vu",
          "time=time, pos_std_ned=sigma_n sigma_e sigma_u, vel_std_ned=sigma_vn sigma_ve sigma_vu, lat=lat, lon=lon, height=h"),
+        ("time vel_ned_x vel_ned_y vel_ned_z vel_std_ned_0 vel_std_ned_1 vel_std_ned_2 truth_vel_ned_x truth_vel_ned_y truth_vel_ned_z",
+         "vel_ned=vel_ned_x vel_ned_y vel_ned_z, vel_std_ned=vel_std_ned_0 vel_std_ned_1 vel_std_ned_2, time=time"),
+        ("time velocity_enu_x velocity_enu_y velocity_enu_z pos_std_ned_x pos_std_ned_y pos_std_ned_z",
+         "vel_enu=velocity_enu_x velocity_enu_y velocity_enu_z, pos_std_ned=pos_std_ned_x pos_std_ned_y pos_std_ned_z, time=time"),
         ("gps_week tow lat lon", "time=tow, lat=lat, lon=lon, week=gps_week"),
         ("time_accuracy date utc", "time=utc"),
     ],

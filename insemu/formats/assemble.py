@@ -27,6 +27,9 @@ Array = NDArray[np.float64]
 #: Unit that a column without one is taken to have where it is not SI.
 _USUAL = {"lat": "deg", "lon": "deg", "course": "deg", "rpy": "deg", "roll": "deg", "pitch": "deg", "heading": "deg"}
 
+#: Most columns without a role that are listed by name.
+NAMED = 12
+
 
 @dataclass
 class Story:
@@ -128,6 +131,10 @@ def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
         if f"{role}_axes" in used.settings:
             values[role] = values[role] @ axis_order(used.settings[f"{role}_axes"], where).T
         _say(role, found, units, story, table)
+    picked = {names[k] for role, picks in used.picks.items() for k, _ in resolve(role, picks, names, where)}
+    if unused := [name for name in names if name not in picked]:
+        more = f" and {len(unused) - NAMED} more" if len(unused) > NAMED else ""
+        story.taken.append(f"nothing from {', '.join(unused[:NAMED])}{more} of {where}")
     kind = _kind(used.settings, integrals, where)
     rows = next(iter(values.values())).shape[0]
     start, t, unit_s = _times(table, used, names, rows, "gyro" in values or "accel" in values, story)

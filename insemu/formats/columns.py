@@ -328,6 +328,8 @@ def words_of(name: str) -> list[str]:
 _GYRO_WORDS = {"gyro", "gyr", "gyroscope", "omega", "angvel", "gyros", "angrate", "rotationrate", "gyroscopes"}
 _ACCEL_WORDS = {"accel", "acc", "acceleration", "accelerometer", "accelerometers", "accelerations"}
 _NOT = set("mag magnetometer bias std sigma cov covariance user gravity error quat clipping orientation".split())
+_VELOCITIES, _SPREADS = {"vel", "velocity", "v"}, {"std", "sigma"}
+_REFERENCES = {"truth", "true", "ref", "reference"}
 _SHORT = {
     "gyro": (("gx", "gy", "gz"), ("wx", "wy", "wz"), ("p", "q", "r")),
     "accel": (("ax", "ay", "az"), ("fx", "fy", "fz")),
@@ -456,6 +458,7 @@ def guess_map(names: Sequence[str], columns: Sequence[NDArray[np.float64]] | Non
             if all(t in low for t in triple) and not (role == "vel_enu" and "vel_ned" in picks):
                 picks[role] = tuple(Pick(names[low.index(t)]) for t in triple)
                 break
+    picks = _framed(names) | picks
     taken = {p.column for ps in picks.values() for p in ps}
     for role, options in _SINGLE.items():
         for wanted in options:
@@ -475,6 +478,25 @@ def guess_map(names: Sequence[str], columns: Sequence[NDArray[np.float64]] | Non
             picks.pop(role, None)
     back = dict(zip(reversed(names), reversed(written), strict=True))
     return ColumnMap({r: tuple(replace(p, column=back[p.column]) for p in ps) for r, ps in picks.items()})
+
+
+def _framed(names: Sequence[str]) -> dict[str, tuple[Pick, ...]]:
+    """Vectors of fixes whose names say what they are and in which frame, with a number or x, y, z for each component: ``vel_ned_0``."""
+    groups: dict[str, dict[str, str]] = {}
+    for name in names:
+        *stem, axis = words_of(name) or [""]
+        said, spread = set(stem), bool(set(stem) & _SPREADS)
+        what = "vel" if said & _VELOCITIES else "pos" if spread and said & {"pos", "position"} else ""
+        for frame in (
+            sorted(said & {"ned", "enu", "neu"}) if what and not said & (_NOT - _SPREADS | _REFERENCES) else ()
+        ):
+            role = f"{what}_std_{frame}" if spread else f"{what}_{frame}"
+            groups.setdefault(role, {}).setdefault({"0": "x", "1": "y", "2": "z"}.get(axis, axis), name)
+    return {
+        role: tuple(Pick(axes[a]) for a in "xyz")
+        for role, axes in groups.items()
+        if role in ROLES and {*"xyz"} <= set(axes)
+    }
 
 
 def _time(names: Sequence[str], columns: Sequence[NDArray[np.float64]] | None) -> int | None:

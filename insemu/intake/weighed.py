@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from insemu.errors import InputError
 from insemu.intake.card import Level, Line
-from insemu.intake.explained import Explained, Reading, Windows
+from insemu.intake.explained import DECLARED, Explained, Reading, Windows
 from insemu.units import scaled_unit
 
 Array = NDArray[np.float64]
@@ -189,7 +189,10 @@ class Weighing:
         turn: Turning | None = None,
         others: Mapping[str, Explained] | None = None,
     ) -> None:
-        self.velocities, self.turn, self.others = velocities, turn, others or {}
+        self.velocities, self.turn = velocities, turn
+        # swapped, a way turns the other way round, as one that is mirrored east
+        mirrored = turn.nats(replace(DECLARED, east=-1.0)) if turn is not None else 0.0
+        self.others = {k: replace(e, turned=mirrored) for k, e in (others or {}).items()}
         self.hint = turn.shift if turn is not None else 0.0
         self.windows, self.kind, self.dt = windows, kind, dt
         self._few = windows.fewer(SCREENED)
