@@ -79,16 +79,12 @@ class Named:
 
     @property
     def effort(self) -> int:
-        """How many declared facts it contradicts.
-
-        A factor that is no unit counts more, and so does a delay between two sensors of one device beside one between two devices.
-        """
+        """How many declared facts it contradicts; a factor that is no unit counts double."""
         orders = [v for k, v in self.settings.items() if k.endswith("_axes")]
         changed = sum(
             1 if v == _OPPOSITE else sum(a != b for a, b in zip(v.split(), _PLAIN.split(), strict=True)) for v in orders
         )
-        delays = sum(k in ("gyro_shift", "accel_shift") for k in self.settings)
-        return changed + len(self.settings) - len(orders) + delays + 2 * ("no unit" in self.means)
+        return changed + len(self.settings) - len(orders) + 2 * ("no unit" in self.means)
 
     @property
     def command(self) -> str:
