@@ -5,7 +5,7 @@ middle or end: how the sensor samples, where somebody says so), ``imu_t``, ``imu
 ``temperature``; ``gnss_t``, ``gnss_llh`` (deg, deg, m), optionally ``gnss_vel_ned``, ``gnss_pos_std_ned``, ``gnss_vel_std_ned``;
 ``ref_t``, ``ref_llh``, ``ref_vel_ned``, ``ref_rpy_deg`` (at ``ref_att_t`` where attitudes have their own times). A key that ends in
 ``_neu`` is the same with up instead of down. A state to start from may be given: ``initial_t``, ``initial_llh`` (deg, deg, m),
-``initial_vel_ned``, ``initial_rpy_deg``, ``initial_sigma`` (nine: m, m/s, deg). Measurements beside the fixes, NAME of docs/filters.md,
+``initial_vel_ned``, ``initial_rpy_deg``, ``initial_sigma`` (nine: m, m/s, deg). Measurements beside the fixes, NAME of docs/filters_aids.md,
 "Aids": ``aid_NAME_t`` (n,), ``aid_NAME`` and ``aid_NAME_std`` (n, rows), optionally ``aid_NAME_settings`` and ``aid_NAME_since`` (n,), SI.
 What was done to it before: ``prepared_imu_late`` (s), ``prepared_said`` (text), ``prepared_gnss_t``, ... (the fixes as they were recorded).
 Times count from ``origin_ns`` (whole ns) of ``origin_clock`` (gps, sow, unix; "" of a clock of the device's own) where a file states them;

@@ -486,7 +486,7 @@ class Scenario(Section):
     gnss: Gnss = Field(default=Gnss(), description="the fixes, their noise and where there are none")
     aids: AidUses = Field(
         default=(),
-        description="measurements beside the fixes of an emulated flight (docs/filters.md): {odometer: {rate: 10 Hz, sigma: [..]}}",
+        description="measurements beside the fixes of an emulated flight (docs/filters_aids.md): {odometer: {rate: 10 Hz, sigma: [..]}}",
     )
     initial: Initial = Field(default=Initial(), description="how well the filter knows where it starts")
     fits: FitSource | None = Field(default=None, description="signals that models under designs are fitted to")
