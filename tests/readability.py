@@ -45,7 +45,9 @@ def pieces(page: str) -> list[str]:
     out: list[str] = []
     for block in re.split(r"\n\s*\n|\n(?=\s*[-*] |\s*\d+\. |\||#)", page):
         if re.match(r"\s*\|", block):
-            out += [c for row in block.splitlines() if not re.match(r"[\s|:-]+$", row) for c in re.split(r"(?<!\\)\|", row)]
+            out += [
+                c for row in block.splitlines() if not re.match(r"[\s|:-]+$", row) for c in re.split(r"(?<!\\)\|", row)
+            ]
         elif block.startswith("    "):
             continue
         else:
@@ -142,7 +144,9 @@ def measure(page: str) -> Measure:
 def texts() -> dict[str, str]:
     """README, the pages of docs and, as one text, the messages of bad input."""
     docs = ROOT / "docs"
-    pages = [p for p in sorted(docs.rglob("*.md")) if p.name != "bibliography.md" and docs / "reference" not in p.parents]
+    pages = [
+        p for p in sorted(docs.rglob("*.md")) if p.name != "bibliography.md" and docs / "reference" not in p.parents
+    ]
     out = {p.relative_to(ROOT).as_posix(): p.read_text(encoding="utf-8") for p in [ROOT / "README.md", *pages]}
     sys.path.insert(0, str(docs))
     made = runpy.run_path(str(docs / "reference_pages.py"))["messages"]()

@@ -89,20 +89,6 @@ def catalogue_columns(motion: Motion, fixes: FixGeometry) -> list[Column]:
     return [c for e in EFFECTS.values() if e.does("columns") for c in e.columns(motion, fixes)]
 
 
-def markdown_table() -> str:
-    """The catalogue as the table of the documentation."""
-    lines = ["| effect | sensor | formula | parameters [SI unit] = default |", "| --- | --- | --- | --- |"]
-    for effect in EFFECTS.values():
-        shown = []
-        for p in effect.parameters:
-            named = list(dict.fromkeys(effect.unit(p.name, sensor) or "1" for sensor in effect.sensors))
-            default = "" if p.default is None else f" = {p.default:g}"
-            shown.append(f"`{p.name}` [{'; '.join(named)}]{default}")
-        formula = effect.formula.replace("|", "\\|")
-        lines.append(f"| `{effect.id}` | {', '.join(effect.sensors)} | {formula} | {', '.join(shown)} |")
-    return "\n".join(lines)
-
-
 __all__ = [
     "AID_KINDS",
     "ASPECTS",
@@ -147,7 +133,6 @@ __all__ = [
     "joined",
     "lagged",
     "lever_arm_of",
-    "markdown_table",
     "on_axes",
     "passes",
     "steady",
