@@ -13,6 +13,7 @@ import insemu
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parent))
+from architecture_drawing import write_drawing
 from gallery_pages import write_gallery
 from pictures import write_pictures
 from reference_pages import write_reference
@@ -75,3 +76,4 @@ def setup(app: Sphinx) -> None:
 write_reference(Path(__file__).parent / "reference")
 write_pictures(Path(__file__).parent / "reference" / "pictures")
 write_gallery(Path(__file__).parent / "reference")
+write_drawing(Path(__file__).parent / "reference" / "pictures")
