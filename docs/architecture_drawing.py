@@ -14,7 +14,9 @@ FLOOR, BOX, LETTER, GAP = 62, 26, 7.4, 14
 
 def floors() -> list[list[str]]:
     """Rooms floor by floor, from the top."""
-    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
     layers = next(c["layers"] for c in contracts if c["type"] == "layers" and c["containers"] == ["insemu"])
     return [[name.strip() for name in layer.split("|")] for layer in layers]
 
@@ -53,10 +55,9 @@ def drawing() -> str:
     ]
     for above, under in sorted(arrows()):
         (x, y), (u, v) = at[above], at[under]
-        lines.append(
-            f'<path d="M{x:.0f} {y:.0f} C{x:.0f} {(y + v) / 2:.0f} {u:.0f} {(y + v) / 2:.0f} {u:.0f} {v:.0f}" fill="none" stroke="#8899aa" stroke-width="1">'
-            f"<title>{above} imports {under}</title></path>"
-        )
+        middle = (y + v) / 2
+        curve = f"M{x:.0f} {y:.0f} C{x:.0f} {middle:.0f} {u:.0f} {middle:.0f} {u:.0f} {v:.0f}"
+        lines.append(f'<path d="{curve}" fill="none" stroke="#8899aa"><title>{above} imports {under}</title></path>')
     for room, (x, y) in at.items():
         w = widths[room]
         lines.append(

@@ -1,12 +1,15 @@
 """How easily README, the pages of docs and the messages of bad input are read: words, length of sentences, rare words.
 
-``python -m tests.readability`` prints a row for every page and for the messages; ``--words PAGE`` prints the rare words of a page, ``--sentences PAGE`` its
-longest sentences. Code, links' targets, printed output and the bibliography are left out. A sentence ends with a period, a colon or a semicolon, or with its
-paragraph, list item or table cell; pieces of fewer than five words (names, values) are no sentences. A rare word is neither one of the 5,000 most
-frequent English words (the list of the package wordfreq, extra ``dev``; inflections count as one word) nor a word of a term of docs/glossary.md. Names
-(words with a capital letter inside a sentence, abbreviations), units and symbols (words of one or two letters) do not count.
+``python -m tests.readability`` prints a row for every page and for the messages. ``--words PAGE`` prints the rare words of a page,
+``--sentences PAGE`` its longest sentences. Code, targets of links, printed output and the bibliography are not read. A sentence ends with a period,
+a colon or a semicolon, or with its paragraph, list item or table cell. Pieces of fewer than five words (names, values) are no sentences.
 
-The exit code is 1 where a page has more than 2,500 words, a mean sentence of more than 25, or where more than 2 % of all words are rare.
+A rare word is neither of one of the 5,000 most frequent families of English words (a word with its inflections and derivations; from the list of
+the package wordfreq, extra ``dev``) nor of a term of docs/glossary.md. Names (words with a capital letter inside a sentence, abbreviations), units
+and symbols (words of one or two letters) do not count.
+
+The exit code is 1 where a page has more than 2,500 words or a mean sentence of more than 25, where more than 2 % of all words are rare, or where the
+glossary has more than 150 terms.
 """
 
 from __future__ import annotations
@@ -23,12 +26,15 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 #: Words of a page, printed output and code included; words of a sentence on average; share of rare words of all texts together.
 MOST_WORDS, MEAN_SENTENCE, RARE_SHARE = 2500, 25.0, 0.02
-FREQUENT = 5000
+FREQUENT, MOST_TERMS = 5000, 150
 _SHORTEST = 5
 _UNITS = frozenset("deg rad rms min max nan xyz".split())
 _WORD = re.compile(r"[A-Za-z][A-Za-z'’]*(?![\w(])")
-_ENDINGS = {"'s": ("",), "s": ("",), "es": ("", "e"), "ies": ("y",), "ed": ("", "e"), "ied": ("y",), "ing": ("", "e"), "er": ("", "e"), "ers": ("", "e"),
-            "ly": ("",), "ily": ("y",), "y": ("", "e"), "est": ("", "e"), "ness": ("",), "able": ("", "e"), "al": ("",), "un": ()}  # fmt: skip
+#: Endings of inflections, behind three letters or more, and of derivations, behind four or more.
+_INFLECTION = re.compile(r"(?<=\w{3})('s|e?s|i?ed|ing|i?es|e|y|i)$")
+_DERIVATION = re.compile(
+    r"(?<=\w{4})([eo]r|ly|at(ion|or|e|ive)?|ion|ive|al|ic|i?t(y|ie)|i?ness|[ai]ble|ment|[ae]n(ce|t)|an?c|ant)$"
+)
 
 
 def _plain(text: str) -> str:
@@ -73,43 +79,34 @@ def words(sentence: str) -> list[str]:
 
 @cache
 def glossary() -> tuple[str, ...]:
-    """The terms of docs/glossary.md."""
+    """The terms of docs/glossary.md; what stands in brackets is another name of the same term."""
     rows = re.findall(r"^\| (.*?) \|", (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8"), re.M)
-    terms = [t.strip(" ()") for row in rows if row not in ("term", "---") for t in re.split(r", |\(", _plain(row))]
-    return tuple(t for t in terms if t)
+    return tuple(t for row in rows if row not in ("term", "---") for t in re.split(r", (?![^(]*\))", _plain(row)))
+
+
+def family(word: str) -> str:
+    """What a word has in common with its inflections and derivations: emulates, emulated, emulator, emulation."""
+    while ending := _INFLECTION.search(word) or _DERIVATION.search(word):
+        word = word[: ending.start()]
+    return word[:-1] if len(word) > 3 and word[-1] == word[-2] else word
 
 
 @cache
 def known() -> frozenset[str]:
-    """Frequent words and the words of the glossary."""
+    """Families of frequent words and of the words of the glossary."""
     from wordfreq import top_n_list
 
-    families: set[str] = set()
+    families: dict[str, None] = {}
     for word in top_n_list("en", 10 * FREQUENT):
-        if len(families) == FREQUENT:
-            break
-        if word.isalpha() and not _forms(word) & families:
-            families.add(word)
-    return frozenset({*families, *(w for term in glossary() for w in re.findall(r"[a-z]+", term.lower()))})
-
-
-def _forms(word: str) -> set[str]:
-    """The word and what it may be an inflection of."""
-    forms = {word}
-    for ending, stems in _ENDINGS.items():
-        if word.endswith(ending) and len(word) - len(ending) > 2:
-            body = word[: len(word) - len(ending)]
-            forms |= {body + s for s in stems}
-            if ending in ("ed", "ing", "er") and body[-1:] == body[-2:-1]:
-                forms.add(body[:-1])
-    return forms
+        if len(families) < FREQUENT and word.isalpha():
+            families[family(word)] = None
+    return frozenset({*families, *(family(w) for term in glossary() for w in re.findall(r"[a-z]+", term.lower()))})
 
 
 @cache
 def rare(word: str) -> bool:
-    """Whether a word is neither frequent nor of the glossary, in any inflection."""
-    bare = {word, word.removeprefix("un"), word.removeprefix("re"), word.removeprefix("non")}
-    return not {form for b in bare for form in _forms(b)} & known()
+    """Whether a word is neither of a frequent family nor of the glossary."""
+    return not {family(word), *(family(word.removeprefix(p)) for p in ("un", "re", "non", "mis"))} & known()
 
 
 @dataclass(frozen=True)
@@ -141,6 +138,7 @@ def measure(page: str) -> Measure:
     )
 
 
+@cache
 def texts() -> dict[str, str]:
     """README, the pages of docs and, as one text, the messages of bad input."""
     docs = ROOT / "docs"
@@ -179,7 +177,7 @@ def main() -> int:
     every = [w for m in found.values() for w in m.words]
     share = sum(map(rare, every)) / len(every)
     print(f"{len(every)} words, {share:.2%} rare (at most {RARE_SHARE:.0%}); glossary: {len(glossary())} terms")
-    return int(bad > 0 or share > RARE_SHARE)
+    return int(bad > 0 or share > RARE_SHARE or len(glossary()) > MOST_TERMS)
 
 
 if __name__ == "__main__":

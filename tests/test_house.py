@@ -144,7 +144,9 @@ def test_every_room_has_its_paragraph_floor_by_floor() -> None:
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").split("## Rooms")[1].split("\n## ")[0]
     level = {room: k for k, floor in enumerate(floors()) for room in floor}
     named = re.findall(r"\*\*`(\w+)`\*\*", page)
-    assert sorted(named) == sorted(level), "docs/architecture.md needs one entry **`room`** for every room of pyproject.toml"
+    assert sorted(named) == sorted(level), (
+        "docs/architecture.md needs one entry **`room`** for every room of pyproject.toml"
+    )
     assert [level[room] for room in named] == sorted(level.values()), "rooms stand in the order of the floors"
 
 

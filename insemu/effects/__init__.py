@@ -1,6 +1,6 @@
 """Effects that a sensor, a clock, a receiver or a model of motion may have: one object each, and the one list of them.
 
-An effect says in one place what it is, how it is injected, taken off, recognized in the innovations, put together with a second find of
+An effect says in one place what it is, how it is injected, removed, recognized in the innovations, put together with a second find of
 itself, and hidden in a blind trial: ``gnss.LeverArm`` is all about a wrong lever arm. The files are the families::
 
     stochastic.py     noise and what acts like it
@@ -9,7 +9,7 @@ itself, and hidden in a blind trial: ``gnss.LeverArm`` is all about a wrong leve
     timing.py         the clock of the IMU
     gnss.py           the fixes and the antenna
     model.py          what a model of motion leaves out
-    aids.py           measurements beside the fixes
+    aids.py           measurements other than the fixes
     expression.py     what has no name, as an equation (terms.py)
 
 :data:`EFFECTS` is the one list: the emulator, the scenario, the gap workflow, the trial and the tests of completeness go through it.
@@ -70,7 +70,7 @@ def join_of(effect: str, label: str) -> Join:
 def joined(known: Iterable[EffectUse], found: Iterable[EffectUse]) -> tuple[EffectUse, ...]:
     """Known effects with what was found of them on top; the rest follows.
 
-    A recording is searched with the known effects taken off, so what is found is what they lack.
+    A recording is searched with the known effects removed, so what is found is what they lack.
     """
     out = list(known)
     for use in found:

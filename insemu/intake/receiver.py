@@ -223,7 +223,7 @@ def _velocities(gnss: GnssRecord, found: Agreement | None, unstated: bool) -> li
                 "north, east, down; too little motion to hold it against the positions",
             )
         ]
-    left = f"{100 * np.sqrt(found.residual):.0f} % of the motion of the positions is left"
+    left = f"{100 * np.sqrt(found.residual):.0f} % of the motion of the positions remains"
     if found.best != "as declared" and found.best_residual < 0.3 * found.residual and found.residual > 0.1:
         what = _MEANT[found.best]
         if near(abs(found.best_scale), 1.0, NEAR):
