@@ -231,7 +231,7 @@ def test_an_aid_has_outages_and_a_constraint_is_zero_whatever_the_vehicle_does()
         ({"barometer": {"sigma": "1 deg"}}, "deg"),
         ({"barometer": {"sigma": 1, "outages": "10 s"}}, "expected a list of pairs of start and duration"),
         ({"barometer": {"sigma": 1, "outages": [[10, -5]]}}, "durations that are not negative"),
-        ({"barometer": {"sigma": 1, "outages": [[10]]}}, "under 'outages', expected 2 in s, s"),
+        ({"barometer": {"sigma": 1, "outages": [10, 20]}}, "expected a list of pairs of start and duration"),
         ({"standstill": {"sigma": 1}}, "no aid 'standstill' to emulate"),
         (["odometer"], "expected the name of an aid"),
     ],

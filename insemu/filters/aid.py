@@ -111,7 +111,7 @@ class AidUse:
             for v in _numbers(given.get(key, [0.0] * size), [unit] * size, key)
         ]
         spans = given.get("outages", [])
-        if not isinstance(spans, list | tuple):
+        if not isinstance(spans, list | tuple) or not all(isinstance(v, list | tuple) and len(v) == 2 for v in spans):
             raise InputError(f"found {spans!r} under 'outages', expected a list of pairs of start and duration")
         outages = [_numbers(span, ["s", "s"], "outages") for span in spans]
         if any(not (math.isfinite(start) and 0.0 <= duration < math.inf) for start, duration in outages):
