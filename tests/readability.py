@@ -5,7 +5,7 @@
 a colon or a semicolon, or with its paragraph, list item or table cell. Pieces of fewer than five words (names, values) are no sentences.
 
 A rare word is neither of one of the 5,000 most frequent families of English words (a word with its inflections and derivations; from the list of
-the package wordfreq, extra ``dev``) nor of a term of docs/glossary.md. Names (words with a capital letter inside a sentence, abbreviations), units
+the package wordfreq, extra ``words``) nor of a term of docs/glossary.md. Names (words with a capital letter inside a sentence, abbreviations), units
 and symbols (words of one or two letters) do not count.
 
 The exit code is 1 where a page has more than 2,500 words or a mean sentence of more than 25, where more than 2 % of all words are rare, or where the
