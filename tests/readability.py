@@ -92,13 +92,19 @@ def family(word: str) -> str:
 
 
 @cache
-def known() -> frozenset[str]:
-    """Families of frequent words and of the words of the glossary."""
+def _frequent() -> list[str]:
+    """English words in the order of their frequency."""
     from wordfreq import top_n_list
 
+    return [word for word in top_n_list("en", 10 * FREQUENT) if word.isalpha()]
+
+
+@cache
+def known() -> frozenset[str]:
+    """Families of frequent words and of the words of the glossary."""
     families: dict[str, None] = {}
-    for word in top_n_list("en", 10 * FREQUENT):
-        if len(families) < FREQUENT and word.isalpha():
+    for word in _frequent():
+        if len(families) < FREQUENT:
             families[family(word)] = None
     return frozenset({*families, *(family(w) for term in glossary() for w in re.findall(r"[a-z]+", term.lower()))})
 
@@ -176,7 +182,10 @@ def main() -> int:
         print(f"{name:40} {m.total:6d} {m.mean:9.1f} {len(m.rare) / max(1, len(m.words)):7.1%}{'  !' if wrong else ''}")
     every = [w for m in found.values() for w in m.words]
     share = sum(map(rare, every)) / len(every)
+    listed = {*_frequent()[:FREQUENT], *(w for term in glossary() for w in re.findall(r"[a-z]+", term.lower()))}
+    forms = sum(word not in listed for word in every) / len(every)
     print(f"{len(every)} words, {share:.2%} rare (at most {RARE_SHARE:.0%}); glossary: {len(glossary())} terms")
+    print(f"with every inflection and derivation as a word of its own: {forms:.1%} rare")
     return int(bad > 0 or share > RARE_SHARE or len(glossary()) > MOST_TERMS)
 
 
