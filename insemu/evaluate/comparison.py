@@ -155,8 +155,8 @@ def analysable(experiment: Experiment, *, removes_means: bool = False) -> tuple[
     left_out: dict[str, str] = {}
     for name, design in s.designs.items():
         made = experiment.filter(name)
-        if not isinstance(made, LooselyCoupledEKF):
-            left_out[name] = "a user's filter"
+        if not isinstance(made, LooselyCoupledEKF) or not made.first_order:
+            left_out[name] = f"the filter {design.filter}"
         elif design.options.prefilter is not None:
             left_out[name] = "a prefilter"
         elif made.augmentation.laws:
