@@ -2,7 +2,6 @@
 
 from insemu.solve.against import Comparison, compare_with
 from insemu.solve.beliefs import CALIBRATION, GRADES, Candidate, candidates
-from insemu.solve.drive import Drive, prepared
 from insemu.solve.files import summary, way_of_solution, worst_outages, write
 from insemu.solve.outages import HORIZONS, Gap, Outages, cut_everywhere
 from insemu.solve.solution import KNOWS, Mounting, Scored, Solution, solve
@@ -14,7 +13,6 @@ __all__ = [
     "KNOWS",
     "Candidate",
     "Comparison",
-    "Drive",
     "Gap",
     "Mounting",
     "Outages",
@@ -23,7 +21,6 @@ __all__ = [
     "candidates",
     "compare_with",
     "cut_everywhere",
-    "prepared",
     "solve",
     "summary",
     "way_of_solution",

@@ -14,9 +14,9 @@ from insemu.augment import TURN_ON, Extras, per_axis, with_turn_on
 from insemu.errors import InputError
 from insemu.filters import FilterOptions, InitialSigma, Innovations, LooselyCoupledEKF, likeliest
 from insemu.noise import RW, WN, NoiseModel, load
+from insemu.prepared import Drive
 from insemu.records import AXES, GnssRecord
 from insemu.scenario import Design, shipped_designs, validated
-from insemu.solve.drive import Drive
 
 Array = NDArray[np.float64]
 

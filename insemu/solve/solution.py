@@ -15,6 +15,7 @@ from insemu.evaluate import Verdict, lag_products, nis_test, whiteness_verdicts
 from insemu.filters import FilterResult, LooselyCoupledEKF, SmootherResult, sigma_at, smooth, smoothed_at
 from insemu.intake import Card
 from insemu.noise import WN
+from insemu.prepared import Drive, Stated, prepared
 from insemu.records import AXES, Recording
 from insemu.shown import Shown, few
 from insemu.solve.beliefs import (
@@ -25,7 +26,6 @@ from insemu.solve.beliefs import (
     clock_offset,
     likelihood_of,
 )
-from insemu.solve.drive import Drive, prepared
 from insemu.solve.outages import HORIZONS, SETTLED_S, Gap, Outages, cut_everywhere, gaps_of, settled_at
 from insemu.solve.outliers_of_fixes import outlying
 
@@ -303,7 +303,7 @@ def solve(
     InputError
         No fixes, no way to start, too little data after it, or no design with which the filter runs.
     """
-    drive = prepared(recording, (0.0, 0.0, 0.0) if lever_arm is None else lever_arm)
+    drive = prepared(recording.as_measured(), Stated() if lever_arm is None else Stated(lever_arm))
     say("start")
     drive = drive.started(card)
     begins, ends, needed = drive.aligned.t, float(drive.imu.t[-1]), SETTLED_S + HORIZONS[0]
@@ -432,7 +432,7 @@ def scored(candidate: Candidate, drive: Drive, every: float, workers: int) -> Sc
     return Scored(
         candidate,
         run,
-        cut_everywhere(ekf, run, imu, drive.reference(), settled=drive.settled, every=every, workers=workers),
+        cut_everywhere(ekf, run, imu, drive.scattered(), settled=drive.settled, every=every, workers=workers),
     )
 
 
