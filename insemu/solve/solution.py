@@ -248,16 +248,8 @@ class Solution(Shown):
 
     @property
     def biases(self) -> dict[str, tuple[float, float, float]]:
-        """Of every axis the bias at the end, its standard deviation, and the part that was taken off before the filter began, rad/s or m/s^2."""
-        aug = self.taken.candidate.filter(self.drive).augmentation
-        before = dict(zip(AXES, self.drive.aligned.bias_beyond(aug.turn_on_sigma()), strict=True))
-        x, P = self.smoothed.imu_states[-1], self.smoothed.covariance[-1, 9:, 9:]
-        out: dict[str, tuple[float, float, float]] = {}
-        for k, a in enumerate(AXES):
-            c = np.where((aug.axis == k) & (aug.driver < 0), aug.c, 0.0)
-            off = float(before[a])
-            out[a] = (off + float(c @ x), float(np.sqrt(max(float(c @ P @ c), 0.0))), off)
-        return out
+        """See :func:`biases_of`."""
+        return biases_of(self.drive, self.taken.candidate, self.smoothed)
 
     @property
     def estimated(self) -> list[tuple[str, float, float, float]]:
@@ -449,6 +441,27 @@ def flown(ekf: LooselyCoupledEKF, drive: Drive, candidate: Candidate) -> FilterR
     """
     imu, gnss = drive.flown(ekf)
     return ekf.run(imu, candidate.fixes(gnss), drive.aligned.state, candidate.start_sigma(drive), aids=drive.aids)
+
+
+def biases_of(drive: Drive, candidate: Candidate, smoothed: SmootherResult) -> dict[str, tuple[float, float, float]]:
+    """Of every axis the bias at the end, its standard deviation, and the part that was taken off before the filter began, rad/s or m/s^2.
+
+    Parameters
+    ----------
+    drive : Drive
+        With a start.
+    candidate : Candidate
+        Whose filter was smoothed.
+    smoothed : SmootherResult
+    """
+    aug = candidate.filter(drive).augmentation
+    before = drive.aligned.bias_beyond(aug.turn_on_sigma())
+    x, P = smoothed.imu_states[-1], smoothed.covariance[-1, 9:, 9:]
+    out: dict[str, tuple[float, float, float]] = {}
+    for k, a in enumerate(AXES):
+        c, off = np.where((aug.axis == k) & (aug.driver < 0), aug.c, 0.0), float(before[k])
+        out[a] = (off + float(c @ x), float(np.sqrt(max(float(c @ P @ c), 0.0))), off)
+    return out
 
 
 def verdicts_of(run: FilterResult) -> tuple[Verdict, ...]:
