@@ -80,7 +80,9 @@ class Nominal:
         g, C = self.gnss, dcm_from_rpy(np.array(self.mounting))
         sigmas = {k: getattr(g, k) for k in ("position_sigma", "velocity_sigma") if k in g.model_fields_set}
         believed = g.velocity_sigma is not None
-        return Stated(C @ np.array(g.lever_arm), self.mounting, with_velocity=believed, mended=False, shortest=0.0, **sigmas)
+        return Stated(
+            C @ np.array(g.lever_arm), self.mounting, with_velocity=believed, mended=False, shortest=0.0, **sigmas
+        )
 
     def on(self, recording: Recording) -> tuple[Nominal, Drive]:
         """The model with the standard deviations that neither it nor a recording states, and the drive that the recording makes.
