@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import pkgutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -129,8 +130,23 @@ def past_doors() -> set[str]:
     return found
 
 
+def stale_imports() -> set[str]:
+    """Names of the package that benchmarks, which no test runs, import and that do not exist."""
+    found = set()
+    for path in (ROOT / "benchmarks").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "insemu":
+                module = import_module(str(node.module))
+                modules = {m.name for m in pkgutil.iter_modules(getattr(module, "__path__", []))}
+                names = {a.name for a in node.names if not hasattr(module, a.name)} - modules
+                found |= {f"{path.relative_to(ROOT)}:{node.lineno} {node.module}.{name}" for name in names}
+    return found
+
+
 @pytest.mark.parametrize(
-    "check", [long_modules, long_functions, undocumented, circles, past_doors], ids=lambda check: check.__name__
+    "check",
+    [long_modules, long_functions, undocumented, circles, past_doors, stale_imports],
+    ids=lambda check: check.__name__,
 )
 def test_nothing_exceeds_a_limit(check: Callable[[], set[str]]) -> None:
     assert sorted(check()) == [], check.__doc__
