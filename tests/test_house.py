@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import pkgutil
+import re
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -15,6 +17,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "insemu"
+sys.path.insert(0, str(ROOT / "docs"))
+from architecture_drawing import arrows, drawing, floors  # noqa: E402
 
 #: Longest module and longest function, in lines; functions without docstring, compiled kernels left out.
 MODULE_LINES, FUNCTION_LINES = 600, 80
@@ -150,3 +154,19 @@ def stale_imports() -> set[str]:
 )
 def test_nothing_exceeds_a_limit(check: Callable[[], set[str]]) -> None:
     assert sorted(check()) == [], check.__doc__
+
+
+def test_every_room_has_its_paragraph_floor_by_floor() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").split("## Rooms")[1].split("\n## ")[0]
+    level = {room: k for k, floor in enumerate(floors()) for room in floor}
+    named = re.findall(r"\*\*`(\w+)`\*\*", page)
+    assert sorted(named) == sorted(level), (
+        "docs/architecture.md needs one entry **`room`** for every room of pyproject.toml"
+    )
+    assert [level[room] for room in named] == sorted(level.values()), "rooms stand in the order of the floors"
+
+
+def test_the_drawing_has_every_room_and_only_arrows_that_lead_down() -> None:
+    level = {room: k for k, floor in enumerate(floors()) for room in floor}
+    assert all(f">{room}</text>" in drawing() for room in level)
+    assert len(arrows()) > len(level) and all(level[a] < level[b] for a, b in arrows())

@@ -525,7 +525,7 @@ def test_a_preset_beside_the_file_stands_behind_what_is_said(tmp_path: Path) -> 
         assert found.imu is not None
         np.testing.assert_allclose(found.imu.gyro, GYRO * DEG)
         np.testing.assert_allclose(found.imu.accel, ACCEL[:, ::-1] * G)
-        assert found.notes == ("the column map beside x.csv was used",)
+        assert found.notes == ("the column map next to x.csv was used",)
         assert read_log(path).names == ("gx", "gy", "gz", "ax", "ay", "az")
     for bad in ("[1, 2]\n", "{}\n", "3\n"):
         (tmp_path / "x.csv.map.yaml").write_text(bad)

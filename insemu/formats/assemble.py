@@ -312,7 +312,7 @@ def numbers_of(text: str, count: int, where: str) -> Array:
     Parameters
     ----------
     text : str
-        Numbers with blanks between them; a ``deg`` at the end is taken off.
+        Numbers with blanks between them; a ``deg`` at the end is removed.
     count : int
         How many are expected.
     where : str

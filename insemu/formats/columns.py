@@ -226,7 +226,7 @@ def preset_beside(path: Path) -> Path:
 
 
 def read_preset(path: Path) -> ColumnMap | None:
-    """The map that stands beside a file as ``NAME.map.yaml`` (or in its folder as ``map.yaml``), if there is one.
+    """The map that stands next to a file as ``NAME.map.yaml`` (or in its folder as ``map.yaml``), if there is one.
 
     Raises
     ------
@@ -246,7 +246,7 @@ def read_preset(path: Path) -> ColumnMap | None:
 
 
 def write_preset(path: Path, used: ColumnMap) -> Path:
-    """Write a map beside a file (``NAME.map.yaml``), so that it needs no option any more."""
+    """Write a map next to a file (``NAME.map.yaml``), so that it needs no option any more."""
     import yaml
 
     target = path / "map.yaml" if path.is_dir() else preset_beside(path)
