@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import gc
+import re
 from collections import Counter
 from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import hypothesis
@@ -26,6 +29,11 @@ COLLECTED: pytest.StashKey[list[pytest.Item]] = pytest.StashKey()
 SLOW: pytest.StashKey[Counter[str]] = pytest.StashKey()
 
 
+#: Imports of a file whose tests need the compiled filter.
+FLIES = re.compile(
+    r"^(?:from|import) (?:insemu\b.*\b(?:filters|evaluate|gap|solve|cli|ins)\b|tests\.(?:filter_cases|test_filters|test_gap))",
+    re.M,
+)
 #: Of a slow test without a reason, which a test refuses.
 UNSTATED = "no reason, expected slow(reason='...')"
 
@@ -51,8 +59,16 @@ def why_slow(item: pytest.Item) -> str:
     return str(mark.kwargs.get("reason", "")) or UNSTATED
 
 
+@cache
+def flies(path: Path) -> bool:
+    """Whether a file of tests uses the filters, or a room above them."""
+    return FLIES.search(path.read_text(encoding="utf-8")) is not None
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    # of two processes the second one begins in the middle, and would wait for the filter that the first one compiles
+    items.sort(key=lambda item: not flies(item.path))
     config.stash[COLLECTED] = list(items)
 
 
