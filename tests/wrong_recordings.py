@@ -22,7 +22,7 @@ from insemu.records import GnssRecord, ImuRecord
 
 @lru_cache(maxsize=16)
 def flown(
-    which: str = "urban_drive_1", start: float = 0.0, seconds: float = 240.0, rate: float = 50.0, fixes: float = 1.0,
+    which: str = "urban_drive_1", start: float = 0.0, seconds: float = 160.0, rate: float = 50.0, fixes: float = 1.0,
     sigma: float = 0.5, velocity: bool = True, grade: float = 1.0, kind: str = "mean", seed: int = 1, ahead: float = 0.0,
     referenced: bool = False,
 ) -> Opened:  # fmt: skip
