@@ -22,7 +22,7 @@ from insemu.records import GnssRecord, ImuRecord
 
 @lru_cache(maxsize=16)
 def flown(
-    which: str = "urban_drive_1", start: float = 0.0, seconds: float = 160.0, rate: float = 50.0, fixes: float = 1.0,
+    which: str = "urban_drive_1", start: float = 0.0, seconds: float = 240.0, rate: float = 50.0, fixes: float = 1.0,
     sigma: float = 0.5, velocity: bool = True, grade: float = 1.0, kind: str = "mean", seed: int = 1, ahead: float = 0.0,
     referenced: bool = False,
 ) -> Opened:  # fmt: skip
@@ -141,8 +141,10 @@ def stamps(factor: float) -> Spoil:
     return _imu(lambda i: replace(i, t=i.t * factor))
 
 
-POSITIONS = {"velocity": False}
-PHONE = {"velocity": False, "sigma": 2.0, "grade": 3.0}
+#: What takes that long to be told, s.
+LONG = {"seconds": 240.0}
+POSITIONS = {"velocity": False} | LONG
+PHONE = {"velocity": False, "sigma": 2.0, "grade": 3.0} | LONG
 WRONG: tuple[Wrong, ...] = (
     Wrong("gyro in deg/s", {}, scaled(gyro=180 / np.pi), "gyro_unit=deg/s"),
     Wrong("gyro in deg/s, positions only", POSITIONS, scaled(gyro=180 / np.pi), "gyro_unit=deg/s"),
@@ -179,10 +181,15 @@ WRONG: tuple[Wrong, ...] = (
     Wrong("latitude in radians", {}, in_radians(), "pos_unit=rad"),
     Wrong("latitude in radians, positions only", POSITIONS, in_radians(), "pos_unit=rad"),
     Wrong("velocities east, north, up", {}, velocities((1, 0, 2), (1, 1, -1)), "velocity=enu"),
-    Wrong("third velocity up, flight", {"which": "turbulent_uav"}, velocities((0, 1, 2), (1, 1, -1)), "velocity=neu"),
+    Wrong(
+        "third velocity up, flight",
+        {"which": "turbulent_uav"} | LONG,
+        velocities((0, 1, 2), (1, 1, -1)),
+        "velocity=neu",
+    ),
     Wrong(
         "third velocity up, helicopter",
-        {"which": "helicopter_mapping"},
+        {"which": "helicopter_mapping"} | LONG,
         velocities((0, 1, 2), (1, 1, -1)),
         "velocity=neu",
     ),
