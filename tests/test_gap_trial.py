@@ -139,7 +139,7 @@ def untouched() -> HiddenLog:
 @pytest.mark.parametrize("effect", STATIC_EFFECTS)
 def test_every_effect_can_be_hidden_and_changes_one_axis_or_the_sensor(effect: str) -> None:
     made = static_recording([effect], 30.0, 5, hours=0.1)
-    again = static_recording([effect], 30.0, 5, hours=0.1, sizes=made.strengths)
+    again = static_recording([effect], 30.0, 5, hours=0.1, sizes=made.sizes)
     assert all(np.array_equal(a.values, b.values) for a, b in zip(made.log, again.log, strict=True))
     assert set(made.beliefs) == {"gyro_x", "gyro_y", "gyro_z"}
     assert made.temperature.shape == made.log[0].values.shape
