@@ -246,7 +246,9 @@ class Windows:
     def _tables(self, reading: Reading, bias: Array) -> tuple[Array, ...]:
         """At the edges of the pieces: change of velocity, its derivatives by errors of forces and rates, and attitude, (w, s + 1, 3[, 3])."""
         key = (reading.gyro.tobytes(), reading.accel.tobytes(), reading.lag, bias.tobytes())
-        if self._latest is not None and self._latest[0] == key:  # readings of other times of the fixes begin with the same
+        if (
+            self._latest is not None and self._latest[0] == key
+        ):  # readings of other times of the fixes begin with the same
             return self._latest[1]
         h = self._piece
         C, turns = self.attitudes(reading.gyro, bias)
