@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,9 +20,6 @@ one_thread_by_default()
 # how long an example takes says how busy the machine is
 hypothesis.settings.register_profile("here", deadline=None)
 hypothesis.settings.load_profile("here")
-
-# what is imported and collected stays: looking through it for garbage again and again is a fifth of the time of collecting
-gc.disable()
 
 #: All tests that were collected, also those that a choice of marks leaves out; why slow tests were left out, counted.
 COLLECTED: pytest.StashKey[list[pytest.Item]] = pytest.StashKey()
@@ -72,9 +69,15 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     config.stash[COLLECTED] = list(items)
 
 
-def pytest_collection_finish() -> None:
-    gc.freeze()
-    gc.enable()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """What is imported and collected stays: looking through it for garbage again and again takes a fifth of the time of collecting."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_deselected(items: Sequence[pytest.Item]) -> None:
