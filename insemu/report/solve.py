@@ -299,7 +299,7 @@ def render_solution(s: Solution, folder: Path, compared: Comparison | None = Non
     """
     o = s.taken.outages
     where = (
-        "Errors are against the fixes that each outage withheld, at the antenna; their own scatter is subtracted from all columns. Where the fixes come "
+        "Errors are against the fixes that each outage withheld, at the antenna, less their own scatter. Where the fixes come "
         "from a receiver that fuses an IMU itself, they are a dependent reference. Outages overlap: the interval is by a moving-block bootstrap. "
         "The design was chosen on the same recording, by the logarithmic score of outages five seconds apart."
     )
