@@ -22,6 +22,9 @@ from insemu.records import Recording, Series
 from insemu.shown import ByAxis
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes as Drawing
+    from matplotlib.figure import Figure
+
     from insemu.evaluate import Results
     from insemu.fit import FitResult, Method, Ranking
     from insemu.fit.gmwm import Weighting
@@ -492,7 +495,7 @@ def solve(
     return one(data, card, beliefs, lever_arm=lever_arm, rate=trajectory_rate, workers=workers)
 
 
-def plot(result: Any, axes: Any = None, *, view: int | str = 0) -> Any:
+def plot(result: Any, axes: Drawing | None = None, *, view: int | str = 0) -> Drawing | Figure:
     """Draw the chart that a page shows of a result, see :func:`insemu.report.plot`.
 
     Parameters

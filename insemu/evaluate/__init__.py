@@ -18,7 +18,6 @@ from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.folder import CACHE, MARKER, check_not_fewer, finish, only_writer, resolved, write, write_summary
 from insemu.evaluate.netcdf import write_netcdf
 from insemu.evaluate.provenance import changed, differences, surroundings
-from insemu.evaluate.recorded import BRIDGED_S
 from insemu.evaluate.regression import Alteration, Baseline, Change, check, smallest_detectable, trial
 from insemu.evaluate.results import (
     Results,
@@ -44,7 +43,6 @@ from insemu.evaluate.ways import ways_of_run
 from insemu.evaluate.world import World
 
 __all__ = [
-    "BRIDGED_S",
     "CACHE",
     "COMPONENTS",
     "MARKER",

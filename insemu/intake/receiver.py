@@ -231,13 +231,13 @@ def fixes(gnss: GnssRecord, found: Agreement | None, unstated: bool, opposite: f
 def _rounded(gnss: GnssRecord, llh: Array) -> list[Line]:
     """Latitudes and longitudes that are written with too few decimals for what the fixes are worth."""
     level = llh[:, :2]
-    if len(np.unique(level, axis=0)) < DISTINCT:
-        return []
-    decimals = next((d for d in DECIMALS if np.abs(level * 10.0**d - np.round(level * 10.0**d)).max() < 1e-3), None)
-    if decimals is None:
+    exact = (d for d in DECIMALS if np.abs(level * 10.0**d - np.round(level * 10.0**d)).max() < 1e-6)
+    decimals = next(exact, None)
+    if decimals is None or len(np.unique(level, axis=0)) < DISTINCT:
         return []
     step = float(np.deg2rad(10.0**-decimals)) * earth.A
-    stated = 0.0 if gnss.pos_std_ned is None else float(np.nanmedian(gnss.pos_std_ned[:, :2]))
+    known = np.empty(0) if gnss.pos_std_ned is None else gnss.pos_std_ned[:, :2][np.isfinite(gnss.pos_std_ned[:, :2])]
+    stated = float(np.median(known)) if known.size else 0.0
     if step / np.sqrt(12.0) < max(ROUNDED_M, stated):
         return []
     return [Line("fixes", "odd", f"latitude and longitude have {decimals} decimals of a degree: steps of {step:.2g} m")]
