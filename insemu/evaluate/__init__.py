@@ -16,6 +16,7 @@ from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.errors import COMPONENTS, bootstrap_mean, navigation_error, paired_ratio, within_outage
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.folder import CACHE, MARKER, check_not_fewer, finish, only_writer, resolved, write, write_summary
+from insemu.evaluate.netcdf import write_netcdf
 from insemu.evaluate.provenance import changed, differences, surroundings
 from insemu.evaluate.regression import Alteration, Baseline, Change, check, smallest_detectable, trial
 from insemu.evaluate.results import (
@@ -113,5 +114,6 @@ __all__ = [
     "with_designs",
     "within_outage",
     "write",
+    "write_netcdf",
     "write_summary",
 ]

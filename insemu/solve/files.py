@@ -10,6 +10,7 @@ import numpy as np
 
 from insemu import formats, noise, rotation
 from insemu.errors import InputError
+from insemu.evaluate import write_netcdf
 from insemu.formats import Way, utc_of, write_table, write_way
 from insemu.shown import finite
 from insemu.solve.against import Comparison
@@ -179,7 +180,7 @@ def write(solution: Solution, folder: Path) -> list[Path]:
     d = solution.drive
     out: list[Path] = []
     with replacing(folder / SOLUTION) as partial:
-        dataset(solution).to_netcdf(partial, engine="h5netcdf")
+        write_netcdf(partial, {"": dataset(solution)})
     out.append(folder / SOLUTION)
     way = way_of_solution(folder)
     dated = (".kml", ".gpx", ".pos") if utc_of(way.origin) is not None else ()
