@@ -34,7 +34,7 @@ from insemu.filters.results import FilterResult, FixTable, Nodes, log_density
 from insemu.filters.smoothed import cross_covariance, sigma_at, smoothed_at
 from insemu.filters.smoother import SmootherResult, smooth
 from insemu.filters.start import start
-from insemu.filters.twin import Carried, Intervals, LinearErrors, carried, driven, transitions
+from insemu.filters.twin import Carried, Intervals, LinearErrors, basis, carried, driven, transitions
 
 __all__ = [
     "AIDS",
@@ -68,6 +68,7 @@ __all__ = [
     "align",
     "align_at_rest",
     "align_in_motion",
+    "basis",
     "carried",
     "check_result",
     "cross_covariance",
