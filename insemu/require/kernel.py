@@ -6,88 +6,74 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.compiled import njit
+from insemu.lanes import zeros
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-#: Sensors that are carried side by side, and rows that a fix has (position and velocity).
-LANES, FIX_ROWS = 8, 6
+#: Rows that a fix has (position and velocity).
+FIX_ROWS = 6
 
 
 @njit(cache=True, nogil=True)
 def _moved(
-    P: Array, X: Array, Y: Array, F: Array, E: Array, D: Array, N: Array, C: Array, R: Array, q: Array, white: Array
+    P: Array, X: Array, F: Array, E: Array, D: Array, N: Array, C: Array, R: Array, q: Array, white: Array
 ) -> None:
-    """Take ``P`` (n, n, LANES) over one interval; ``X`` (9, n, LANES) and ``Y`` (n, 9, LANES) are overwritten."""
+    """Take ``P`` (n, n) over one interval; ``X`` (n, 9) is overwritten."""
     n, m = P.shape[0], P.shape[0] - 9
-    rows, half, other = P.reshape(n, n * LANES), X.reshape(9, n * LANES), Y.reshape(n, 9 * LANES)
     for i in range(9):
-        x = half[i]
-        x[:] = 0.0
-        for k in range(n):
-            f = F[i, k] if k < 9 else E[i, k - 9]
-            if f != 0.0:
-                p = rows[k]
-                for b in range(n * LANES):
-                    x[b] += f * p[b]
         for j in range(n):
-            Y[j, i] = X[i, j]
+            x = F[i, 0] * P[j, 0]
+            for k in range(1, 9):
+                x += F[i, k] * P[j, k]
+            for k in range(m):
+                x += E[i, k] * P[j, 9 + k]
+            X[j, i] = x
     for i in range(9):
-        x = rows[i, : 9 * LANES]
-        x[:] = 0.0
-        for k in range(n):
-            f = F[i, k] if k < 9 else E[i, k - 9]
-            if f != 0.0:
-                p = other[k]
-                for b in range(9 * LANES):
-                    x[b] += f * p[b]
-    for k in range(m):
-        for i in range(9):
-            for j in range(9):
-                for b in range(LANES):
-                    P[i, j, b] += N[k, i, j] * q[k, b]
-            for b in range(LANES):
-                P[i, 9 + k, b] = X[i, 9 + k, b] * D[k] + C[k, i] * q[k, b]
-            P[9 + k, i] = P[i, 9 + k]
-    for a in range(6):
-        for i in range(9):
-            for j in range(9):
-                for b in range(LANES):
-                    P[i, j, b] += N[m + a, i, j] * white[a, b]
+        for j in range(i, 9):
+            x = F[j, 0] * X[0, i]
+            for k in range(1, 9):
+                x += F[j, k] * X[k, i]
+            for k in range(m):
+                x += E[j, k] * X[9 + k, i]
+            for k in range(m):
+                x += N[k, i, j] * q[k]
+            for a in range(6):
+                x += N[m + a, i, j] * white[a]
+            P[i, j] = x
+            P[j, i] = x
+        for k in range(m):
+            x = X[9 + k, i] * D[k] + C[k, i] * q[k]
+            P[i, 9 + k] = x
+            P[9 + k, i] = x
     for i in range(m):
         for j in range(m):
-            d = D[i] * D[j]
-            for b in range(LANES):
-                P[9 + i, 9 + j, b] *= d
-        for b in range(LANES):
-            P[9 + i, 9 + i, b] += R[i] * q[i, b]
+            P[9 + i, 9 + j] *= D[i] * D[j]
+        P[9 + i, 9 + i] += R[i] * q[i]
 
 
 @njit(cache=True, nogil=True)
-def _measured(P: Array, G: Array, K: Array, H: Array, var: Array, first: int, last: int) -> None:
-    """Update ``P`` by rows of measurements, one after the other; ``G`` (n + 1, LANES) and ``K`` (n, LANES) are overwritten."""
+def _measured(P: Array, G: Array, H: Array, var: Array, first: int, last: int) -> None:
+    """Update ``P`` by rows of measurements, one after the other; ``G`` (n,) is overwritten."""
     n = P.shape[0]
     for w in range(first, last):
         if not np.isfinite(var[w]):
             continue
-        G[:] = 0.0
-        for j in range(9):
-            h = H[w, j]
-            if h != 0.0:
-                for i in range(n):
-                    for b in range(LANES):
-                        G[i, b] += P[j, i, b] * h
-        G[n] = var[w]
-        for j in range(9):
-            for b in range(LANES):
-                G[n, b] += H[w, j] * G[j, b]
         for i in range(n):
-            for b in range(LANES):
-                K[i, b] = G[i, b] / G[n, b]
+            x = H[w, 0] * P[i, 0]
+            for j in range(1, 9):
+                if H[w, j] != 0.0:
+                    x += H[w, j] * P[i, j]
+            G[i] = x
+        s = var[w] + H[w, 0] * G[0]
+        for j in range(1, 9):
+            s += H[w, j] * G[j]
         for i in range(n):
-            for j in range(n):
-                for b in range(LANES):
-                    P[i, j, b] -= G[i, b] * K[j, b]
+            g = G[i] / s
+            for j in range(i + 1):
+                x = P[i, j] - g * G[j]
+                P[i, j] = x
+                P[j, i] = x
 
 
 @njit(cache=True, nogil=True)
@@ -95,7 +81,7 @@ def outages(
     F: Array, E: Array, D: Array, N: Array, C: Array, R: Array, H: Array, var: Array, q: Array, white: Array, P: Array, starts: Ints,
     ends: Ints, out: Array,
 ) -> None:  # fmt: skip
-    """Covariances of the navigation errors at the ends of outages of LANES sensors, each with the filter that knows its own sensor.
+    """Covariances of the navigation errors at the ends of outages of sensors side by side (:mod:`insemu.lanes`), each with the filter that knows its own sensor.
 
     Parameters
     ----------
@@ -105,27 +91,30 @@ def outages(
         What unit driving noise of each state (and unit white noise of each axis) adds.
     H, var : (k + 1, w, 9), (k + 1, w) arrays
         Measurements at the nodes, those of fixes first; a variance that is not finite is none.
-    q, white : (m, LANES), (6, LANES) arrays
+    q, white : (m,), (6,) arrays of lanes
         Variances of the driving and the white noise of each sensor.
-    P : (9 + m, 9 + m, LANES) array
+    P : (9 + m, 9 + m) array of lanes
         At the first node; overwritten.
     starts, ends : (s,), (s, h) arrays of int
         Nodes at which outages begin (their fixes are used) and at which errors are asked for, both increasing.
-    out : (s, h, 9, 9, LANES) array
+    out : (s, h, 9, 9) array of lanes
         Overwritten.
     """
     n, rows = P.shape[0], var.shape[1]
-    X, Y, free = np.empty((9, n, LANES)), np.empty((n, 9, LANES)), np.empty_like(P)
-    G, K = np.empty((n + 1, LANES)), np.empty((n, LANES))
+    X, G, free = zeros(P, (n, 9)), zeros(P, n), zeros(P, (n, n))
     for s in range(starts.size):
         for k in range(starts[s - 1] if s else 0, starts[s]):
-            _moved(P, X, Y, F[k], E[k], D[k], N[k], C[k], R[k], q, white)
-            _measured(P, G, K, H[k + 1], var[k + 1], 0, rows)
-        free[:] = P
+            _moved(P, X, F[k], E[k], D[k], N[k], C[k], R[k], q, white)
+            _measured(P, G, H[k + 1], var[k + 1], 0, rows)
+        for i in range(n):
+            for j in range(n):
+                free[i, j] = P[i, j]
         at = starts[s]
         for h in range(ends.shape[1]):
             for k in range(at, ends[s, h]):
-                _moved(free, X, Y, F[k], E[k], D[k], N[k], C[k], R[k], q, white)
-                _measured(free, G, K, H[k + 1], var[k + 1], FIX_ROWS, rows)
+                _moved(free, X, F[k], E[k], D[k], N[k], C[k], R[k], q, white)
+                _measured(free, G, H[k + 1], var[k + 1], FIX_ROWS, rows)
             at = ends[s, h]
-            out[s, h] = free[:9, :9]
+            for i in range(9):
+                for j in range(9):
+                    out[s, h, i, j] = free[i, j]

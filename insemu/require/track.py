@@ -17,7 +17,8 @@ from insemu.errors import InputError
 from insemu.evaluate import EmulatedWorld
 from insemu.filters import AIDS, SETTINGS, AidUse, Intervals, aid_jacobian, basis
 from insemu.records import AidRecord
-from insemu.require.kernel import FIX_ROWS, LANES, outages
+from insemu.lanes import LANES, empty, lanes_of
+from insemu.require.kernel import FIX_ROWS, outages
 from insemu.require.sensors import Sensor, States, states_of
 from insemu.scenario import Scenario, code_version, digest
 from insemu.strapdown import NavState, mechanize_array
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 #: Outages of a track, the time in which a filter settles before the first, s, and the longest part of a track that is flown, s.
-STARTS, SETTLING, LONGEST = 8, 120.0, 900.0
+STARTS, SETTLING, LONGEST = 6, 120.0, 900.0
 #: Below this speed a vehicle stands, m/s; a filter that knows it takes its velocity for zero to so much, m/s.
 STANDS, STANDSTILL = 0.05, 0.01
 #: Rate of the aids, Hz.
@@ -191,11 +192,14 @@ class Track:
             for first in range(0, len(members), LANES):
                 some = members[first : first + LANES]
                 lanes = np.minimum(np.arange(first, first + LANES), len(members) - 1)
-                P, out = np.zeros((9 + m, 9 + m, LANES)), np.empty((starts.size, len(seconds), 9, 9, LANES))
+                shapes = ((9 + m, 9 + m), (starts.size, len(seconds), 9, 9), (m,), (6,))
+                P, out, q, white = (empty((*shape, LANES)) for shape in shapes)
+                P[:] = 0.0
                 P[range(9), range(9)] = self.start[:, None] ** 2
                 P[range(9, 9 + m), range(9, 9 + m)] = states.P0[:, lanes]
-                q, white = np.ascontiguousarray(states.q[:, lanes]), np.ascontiguousarray(states.white[:, lanes])
-                outages(self.F, E, D, N, C, R, H, var, q, white, P, starts, ends, out)
+                q[:], white[:] = states.q[:, lanes], states.white[:, lanes]
+                side = [lanes_of(a) for a in (q, white, P)]
+                outages(self.F, E, D, N, C, R, H, var, *side, starts, ends, lanes_of(out))
                 found[np.array(some)[:, None], order] = out.transpose(4, 1, 0, 2, 3)[: len(some)]
         return found
 
