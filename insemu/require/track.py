@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import io
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from insemu.records import AidRecord
 from insemu.lanes import LANES, empty, lanes_of
 from insemu.require.kernel import FIX_ROWS, outages
 from insemu.require.sensors import Sensor, States, states_of
-from insemu.scenario import Scenario, code_version, digest
+from insemu.scenario import Scenario, code_version
 from insemu.strapdown import NavState, mechanize_array
 from insemu.whole import put
 
@@ -243,10 +242,14 @@ def prepared(scenario: Scenario, file: str | Path | None, inputs: Mapping[str, P
     inputs : mapping of str to path
         Files that it names.
     """
-    plain = scenario.model_copy(update={"truth": None, "designs": {}, "aids": {}, "seed": 0})
-    plain = plain.model_copy(update={"gnss": scenario.gnss.model_copy(update={"outages": ()})})
-    key = digest(plain, inputs)
-    held = kept("track", [key], lambda: {f.name: np.asarray(getattr(Track.of(scenario, file), f.name)) for f in fields(Track)})
+    source, gnss = scenario.trajectory, scenario.gnss
+    assert source is not None
+    contents = [hashlib.sha256(path.read_bytes()).hexdigest() for path in inputs.values()]
+    names = {"waypoints": None, "track": None, "motion": None}
+    parts = (source.model_dump(mode="json") | names, gnss.model_dump(mode="json", exclude={"outages"}), scenario.initial.model_dump())
+    key = hashlib.sha256(repr((contents, *parts)).encode()).hexdigest()
+    clear = scenario.model_copy(update={"gnss": gnss.model_copy(update={"outages": ()})})
+    held = kept("track", [key], lambda: {name: np.asarray(v) for name, v in vars(Track.of(clear, file)).items()})
     return Track(**{name: float(v) if name == "dt" else v for name, v in held.items()}), key
 
 
