@@ -1,1 +1,28 @@
 """Requirements turned round: which sensor keeps an error after an outage, from the covariance of its own matched filter."""
+
+from insemu.require.answer import PLANES, Alternative, Answer, Place, Question, Verdict, figures_text, require
+from insemu.require.asked import QUANTITIES, Requirement, asked, quantile
+from insemu.require.sensors import FIGURES, UNITS, Sensor, shown
+from insemu.require.track import Track, aids_of, prepared
+
+__all__ = [
+    "FIGURES",
+    "PLANES",
+    "QUANTITIES",
+    "UNITS",
+    "Alternative",
+    "Answer",
+    "Place",
+    "Question",
+    "Requirement",
+    "Sensor",
+    "Track",
+    "Verdict",
+    "aids_of",
+    "asked",
+    "figures_text",
+    "prepared",
+    "quantile",
+    "require",
+    "shown",
+]

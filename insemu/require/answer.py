@@ -17,9 +17,9 @@ from insemu.errors import InputError
 from insemu.evaluate import input_files
 from insemu.filters import AidUse
 from insemu.require.asked import Requirement, asked
-from insemu.require.sensors import FIGURES, Sensor, shown
+from insemu.require.sensors import FIGURES, Sensor, completed, shown
 from insemu.require.track import LONGEST, Track, aids_of, kept, prepared
-from insemu.scenario import Scenario, Wish, first_scenario, motion_of, validated
+from insemu.scenario import Scenario, Spoken, Wish, first_scenario, motion_of, validated
 from insemu.sensors import card, names
 
 Array = NDArray[np.float64]
@@ -36,6 +36,15 @@ GRID_FROM, GRID_TO, GRID = 0.1, 10.0, 10
 #: Frontier of two figures at a time, so many values of each.
 PLANES = (("gyro in-run bias", "accel in-run bias"), ("gyro white noise", "accel white noise"))
 PLANE = 8
+#: Where a figure is printed by no card: values of good and of bad sensors, SI.
+UNPRINTED = {
+    "gyro walk": (1e-9, 1e-5),
+    "accel walk": (1e-7, 1e-3),
+    "gyro scale factor": (1e-5, 1e-2),
+    "accel scale factor": (1e-5, 1e-2),
+    "gyro turn-on bias": (1e-6, 0.1),
+    "accel turn-on bias": (1e-4, 1.0),
+}
 #: Time between two outages of the scenario that flies the answer, in which the filter settles again, s.
 AGAIN = 60.0
 #: Levels that `insemu transfer` has factors for, and the figures they act on.
@@ -205,13 +214,13 @@ class Answer:
             "cards": [
                 {
                     "name": v.sensor.name, "about": v.sensor.about, "verdict": v.word, "probability": v.probability, "margin": v.margin,
-                    "errors": list(v.errors), "limited_by": v.limits, "margin_if_halved": v.halved, "doubt": v.doubt,
+                    "errors": list(v.errors), "assumed": list(v.sensor.assumed), "limited_by": v.limits, "margin_if_halved": v.halved, "doubt": v.doubt,
                     "figures": dict(zip(FIGURES, v.sensor.values.tolist(), strict=True)),
                 }
                 for v in self.verdicts
             ],
             "alone": {k: v if math.isfinite(v) else None for k, v in self.alone.items()},
-            "just": dict(self.just),
+            "just": {k: v if math.isfinite(v) else None for k, v in self.just.items()},
             "frontier": [{"x": x, "y": y, "points": curve.tolist()} for (x, y), curve in self.planes.items()],
             "aids": [{"aids": a.name, "meeting": a.meeting, "like": a.like, "margins": dict(a.margins)} for a in self.alternatives],
             "track": [vars(p) | {"errors": list(p.errors)} for p in self.places],
@@ -249,7 +258,8 @@ class Question:
 
     def errors(self, sensors: Sequence[Sensor], aids: Aids | None = None) -> tuple[Array, Array]:
         """Errors of sensors (requirements, sensors) in SI, and the covariances (sensors, lengths, starts, 9, 9) behind them."""
-        parts = (self._key, self.seconds, repr(aids), [(s.values.tolist(), s.times) for s in sensors])
+        measured = {name: use and use.to_mapping() for name, use in (aids or {}).items()}
+        parts = (self._key, self.seconds, measured, [(s.values.tolist(), s.times) for s in sensors])
         C = kept("covariances", parts, lambda: {"C": self.track.covariances(sensors, self.seconds, aids)})["C"]
         return np.stack([r.error(C[:, self.seconds.index(r.seconds)]) for r in self.requirements]), C
 
@@ -314,7 +324,7 @@ def require(
     own = Sensor.of_card(card(have)) if have else None
     sensors = [Sensor.of_card(card(name)) for name in names()]
     sensors += [own] if own is not None and own.name not in {s.name for s in sensors} else []
-    sensors = [_on_the_road(s, factors) for s in sensors]
+    sensors = [_on_the_road(s, factors) for s in completed(sensors)]
     verdicts, C = _verdicts(question, sensors)
     alone, just, planes = _frontier(question, sensors)
     alternatives = _alternatives(question, sensors, used)
@@ -322,8 +332,8 @@ def require(
         question.requirements, tuple(sorted(verdicts, key=lambda v: -v.margin)), alone, just, planes, alternatives, (),
         {k: v for k, (v, _) in factors.items()}, "", own.name if own else "",
     )  # fmt: skip
-    chosen = sensors.index(found.chosen.sensor)
-    return replace(found, places=_places(question, C[chosen]), scenario=_scenario(question, have or found.chosen.sensor.name))
+    chosen = next(i for i, s in enumerate(sensors) if s is found.chosen.sensor)
+    return replace(found, places=_places(question, C[chosen]), scenario=_scenario(question, sensors[chosen]))
 
 
 def _verdicts(question: Question, sensors: Sequence[Sensor]) -> tuple[list[Verdict], Array]:
@@ -375,7 +385,7 @@ def _frontier(
 
     def grid(f: int, count: int) -> Array:
         known = values[:, f][values[:, f] > 0]
-        low, high = (known.min(), known.max()) if known.size else _UNKNOWN[FIGURES[f].split(" ", 1)[1]]
+        low, high = (known.min(), known.max()) if known.size else UNPRINTED[FIGURES[f]]
         return np.geomspace(GRID_FROM * low, GRID_TO * high, count)
 
     def with_values(*given: tuple[int, float], of: Array = nothing.values) -> Sensor:
@@ -390,6 +400,7 @@ def _frontier(
     finite = np.where(np.isfinite(alone), alone, 0.0)
     shares = np.geomspace(0.02, 1.0, GRID)
     share = min(_crossing(shares, question.ratios([replace(nothing, values=s * finite) for s in shares])), 1.0)
+    just = np.where(np.isfinite(alone), share * finite, math.inf)
     planes = {}
     for pair in PLANES:
         i, j = (FIGURES.index(name) for name in pair)
@@ -397,11 +408,7 @@ def _frontier(
         tried = question.ratios([with_values((i, a), (j, b), of=share * finite) for a in x for b in y]).reshape(PLANE, PLANE)
         curve = np.array([[a, _crossing(y, row)] for a, row in zip(x, tried, strict=True)])
         planes[pair] = curve[np.isfinite(curve[:, 1]) & (curve[:, 1] > 0.0)]
-    return dict(zip(FIGURES, alone.tolist(), strict=True)), dict(zip(FIGURES, (share * finite).tolist(), strict=True)), planes
-
-
-#: Values of figures that no card prints, from good to bad sensors, SI.
-_UNKNOWN = {"walk": (1e-8, 1e-4), "scale factor": (1e-5, 1e-2)}
+    return dict(zip(FIGURES, alone.tolist(), strict=True)), dict(zip(FIGURES, just.tolist(), strict=True)), planes
 
 
 def _alternatives(question: Question, sensors: Sequence[Sensor], aids: Aids) -> tuple[Alternative, ...]:
@@ -438,14 +445,16 @@ def _places(question: Question, C: Array) -> tuple[Place, ...]:
     return tuple(out)
 
 
-def _scenario(question: Question, sensor: str) -> str:
+def _scenario(question: Question, sensor: Sensor) -> str:
     """Text of the scenario that flies a sensor through outages at these places, as many as leave the filter time to settle between them."""
     track, longest = question.track, max(question.seconds)
     outages: list[tuple[float, float]] = []
     for start in track.t[track.starts(longest)]:
         if not outages or start >= sum(outages[-1]) + AGAIN:
             outages.append((float(start), longest))
-    return first_scenario(question.file, replace(question.wish, sensor=sensor, outages=outages))
+    said = [r.text for r in question.requirements] + [f"assumed: {name}" for name in sensor.assumed]
+    spoken = Spoken(sensor.name, sensor.models(), said)
+    return first_scenario(question.file, replace(question.wish, spoken=spoken, outages=outages))
 
 
 def _road(file: str | Path) -> dict[str, tuple[float, float]]:

@@ -26,8 +26,8 @@ QUANTITIES: dict[str, tuple[tuple[int, ...], str]] = {
 _TEXT = re.compile(r"^\s*(\w+)\s*<\s*(.+?)(?:\s+at\s+(.+?))?\s+after\s+(.+?)\s*$")
 #: Share where none is given; outages outside of these limits (s) are no question of the noise of an IMU.
 USUAL_SHARE, SHORTEST, LONGEST = 0.95, 1.0, 3600.0
-#: Nodes of the quadrature, and halvings of the search for a quantile.
-_NODES, _HALVINGS = 48, 40
+#: Nodes of the quadrature, standard deviations that it reaches to, and halvings of the search for a quantile.
+_NODES, _TAIL, _HALVINGS = 48, 8.0, 40
 
 
 @dataclass(frozen=True)
@@ -126,9 +126,12 @@ def quantile(large: Array, small: Array, share: float) -> Array:
     low, high = np.zeros(large.shape[:-1]), 10.0 * np.sqrt(2.0 * large.max(axis=-1))
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        r = middle[..., None, None] / one
-        density = np.exp(-0.5 * (r * sine) ** 2) * r * cosine / math.sqrt(2.0 * math.pi)
-        within = (density * scipy.special.erf(middle[..., None, None] * cosine / (math.sqrt(2.0) * two)) * w).sum(-1).mean(-1)
+        ratio = middle[..., None, None] / one
+        reach = np.minimum(ratio, _TAIL)
+        z = reach * sine
+        across = one * np.sqrt(np.maximum(ratio**2 - z**2, 0.0)) / (math.sqrt(2.0) * two)
+        density = np.exp(-0.5 * z**2) * reach * cosine / math.sqrt(2.0 * math.pi)
+        within = (density * scipy.special.erf(across) * w).sum(-1).mean(-1)
         low, high = np.where(within < share, middle, low), np.where(within < share, high, middle)
     return np.asarray(0.5 * (low + high))
 

@@ -29,6 +29,8 @@ SIGNALS = {"gyro": "rad/s", "accel": "m/s^2"}
 #: All figures, and their SI units.
 FIGURES = tuple(f"{triad} {kind}" for triad in SIGNALS for kind, _, _ in KINDS)
 UNITS = tuple(unit.format(u=u) for u in SIGNALS.values() for _, _, unit in KINDS)
+#: Grades, as cards name them.
+GRADES = ("navigation", "tactical", "industrial", "consumer")
 #: A state that forgets within so many seconds is white noise of the same density, for outages of ten seconds or more.
 FAST = 1.0
 #: Normal quantile of the share of units that a printed maximum holds.
@@ -49,7 +51,9 @@ class Sensor:
     times : (float, float)
         Correlation times of the in-run biases of gyroscopes and accelerometers, s; infinite for flicker.
     about : str
-        Grade.
+        What the card says of it.
+    assumed : tuple of str
+        Figures that are not printed and were taken from sensors of the same grade.
     """
 
     name: str
@@ -57,6 +61,7 @@ class Sensor:
     spread: Array
     times: tuple[float, float] = (math.inf, math.inf)
     about: str = ""
+    assumed: tuple[str, ...] = ()
 
     @classmethod
     def of_card(cls, card: Card, assumptions: Assumptions | None = None) -> Sensor:
@@ -88,7 +93,15 @@ class Sensor:
         values[figure] *= factor
         return replace(self, values=values)
 
-    def _parts(self, dt: float) -> list[tuple[int, int, Process]]:
+    def models(self) -> dict[str, NoiseModel]:
+        """Noise models of the two triads; scale factors are no part of them."""
+        out = {}
+        for triad, name in enumerate(SIGNALS):
+            levels = [(p, self.values[f]) for t, f, p in self._parts() if t == triad]
+            out[name] = NoiseModel(tuple(p.with_parameters({p.level.name: float(v)}) for p, v in levels if v > 0))
+        return out
+
+    def _parts(self) -> list[tuple[int, int, Process]]:
         """Triad, figure and process at level 1 of every figure that has one."""
         out: list[tuple[int, int, Process]] = []
         for triad in range(2):
@@ -99,8 +112,30 @@ class Sensor:
 
     def kind(self, dt: float) -> tuple[tuple[float, ...], bool]:
         """What sensors share that can be carried side by side: the decay of their states over a step, and whether scale factors count."""
-        decays = {float(a) for _, _, p in self._parts(dt) for a in np.diag(p.block(dt).Phi) if a > math.exp(-dt / FAST)}
+        decays = {float(a) for _, _, p in self._parts() for a in np.diag(p.block(dt).Phi) if a > math.exp(-dt / FAST)}
         return tuple(sorted(decays)), bool(self.values[[4, 9]].any())
+
+
+def completed(sensors: Sequence[Sensor]) -> list[Sensor]:
+    """The sensors with the in-run biases that no source prints: the geometric mean of those of the same grade, with their spread.
+
+    A grade is the first of :data:`GRADES` that stands in what a card says of the sensor; one that says none is of the grade whose white noise of
+    the gyroscopes is nearest.
+    """
+    levels = np.log([max(s.values[0], 1e-300) for s in sensors])
+    named = [next((g for g in GRADES if g in s.about.lower()), "") for s in sensors]
+    middle = {g: float(np.median([x for x, n in zip(levels, named, strict=True) if n == g])) for g in GRADES if g in named}
+    out = []
+    for s, x, name in zip(sensors, levels, named, strict=True):
+        grade = name or min(middle, key=lambda g: abs(middle[g] - x))
+        values, spread, assumed = s.values.copy(), s.spread.copy(), []
+        for f in (i for i, figure in enumerate(FIGURES) if figure.endswith("in-run bias") and not values[i]):
+            known = np.log([o.values[f] for o, n in zip(sensors, named, strict=True) if n == grade and o.values[f] > 0])
+            if known.size > 1:
+                values[f], spread[f] = float(np.exp(known.mean())), float(known.std(ddof=1))
+                assumed.append(f"{FIGURES[f]} {shown(f, values[f])}, of {known.size} cards of {grade} grade")
+        out.append(replace(s, values=values, spread=spread, assumed=tuple(assumed)))
+    return out
 
 
 @dataclass(frozen=True)
@@ -139,7 +174,7 @@ def states_of(sensors: Sequence[Sensor], dt: float) -> States:
     decay, scaled = sensors[0].kind(dt)
     values = np.stack([s.values for s in sensors], axis=1)
     P0, q, white = (np.zeros((rows, len(sensors))) for rows in (6 * (len(decay) + scaled),) * 2 + (6,))
-    for triad, figure, process in sensors[0]._parts(dt):
+    for triad, figure, process in sensors[0]._parts():
         block, square = process.block(dt), values[figure] ** 2
         axes = slice(3 * triad, 3 * triad + 3)
         white[axes] += block.white * square

@@ -24,7 +24,7 @@ from insemu.scenario.schema import (
     VehicleKeys,
 )
 from insemu.scenario.shipped import located, shipped_scenarios
-from insemu.scenario.starting import SENSOR, Wish, copy_shipped, first_scenario, motion_of
+from insemu.scenario.starting import SENSOR, Spoken, Wish, copy_shipped, first_scenario, motion_of
 from insemu.scenario.structure import state_names, structures
 from insemu.scenario.swept import with_changes
 
@@ -47,6 +47,7 @@ __all__ = [
     "Section",
     "SensorModels",
     "TrajectorySource",
+    "Spoken",
     "Truth",
     "VehicleKeys",
     "Wish",

@@ -88,6 +88,25 @@ _WORST = """\
 
 
 @dataclass(frozen=True)
+class Spoken:
+    """Models of the truth that are written out.
+
+    Parameters
+    ----------
+    name : str
+        Of the sensor.
+    models : mapping of str to NoiseModel
+        Of ``gyro`` and ``accel``.
+    said : sequence of str
+        Lines about them.
+    """
+
+    name: str
+    models: Mapping[str, NoiseModel]
+    said: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
 class Wish:
     """What a first scenario is made from.
 
@@ -110,6 +129,8 @@ class Wish:
         Lines of the sections of these names, of the scenario and of the complete design.
     longest : float
         Longest part of a track that is flown, s.
+    spoken : Spoken, optional
+        Models of the truth in place of a card.
     motion : (str, float), optional
         What :func:`motion_of` says of it, where that is known.
     """
@@ -125,6 +146,7 @@ class Wish:
     aids: Sequence[str] = ()
     options: Sequence[str] = ()
     longest: float = math.inf
+    spoken: Spoken | None = None
     motion: tuple[str, float] | None = None
 
 
@@ -156,6 +178,8 @@ def first_scenario(path: str | Path, wish: Wish) -> str:
         "aids": "".join(["\naids:\n", *(f"  {line}\n" for line in wish.aids)]) if wish.aids else "",
         "options": "".join(["\n    options:", *(f"\n      {line}" for line in wish.options)]) if wish.options else "",
     }
+    if wish.spoken:
+        return _TEMPLATE.format(**common, **_spoken(wish.spoken))
     if wish.model:
         return _TEMPLATE.format(**common, **_of_models(path, wish.model))
     return _TEMPLATE.format(**common, **_of_card(path, wish.sensor))
@@ -172,6 +196,20 @@ def _white(models: Mapping[str, NoiseModel], name: str, factor: float = 1.0) -> 
             raise InputError(f"{name} has no white noise of the {kind}, which the second design would have")
         out[kind] = spelled(NoiseModel((WN(factor * max(levels)),)), unit)
     return out
+
+
+def _spoken(given: Spoken) -> dict[str, str]:
+    """What the template says of models that are written out."""
+    text = {triad: spelled(m, "rad/s" if triad == "gyro" else "m/s^2") for triad, m in given.models.items()}
+    return {
+        "title": f"{given.name} through GNSS outages",
+        "about": f"The figures of {given.name}:",
+        "said": "\n".join(f"#   {line}" for line in given.said),
+        "truth": f"gyro: {text['gyro']}\n  accel: {text['accel']}",
+        "pad": "  ",
+        "hint": "white noise, in-run bias, walk, turn-on bias",
+        "second": _WHITE.format(**_white({f"{t}_x": m for t, m in given.models.items()}, given.name)),
+    }
 
 
 def _of_models(path: Path, file: str) -> dict[str, str]:
