@@ -1,6 +1,6 @@
 """Requirements turned round: which sensor keeps an error after an outage, from the covariance of its own matched filter."""
 
-from insemu.require.answer import PLANES, Alternative, Answer, Place, Question, Verdict, figures_text, require
+from insemu.require.answer import PLANES, Alternative, Answer, Place, Question, Verdict, figures_text, require, wish_of
 from insemu.require.asked import QUANTITIES, Requirement, asked, quantile
 from insemu.require.sensors import FIGURES, UNITS, Sensor, shown
 from insemu.require.track import Track, aids_of, prepared
@@ -25,4 +25,5 @@ __all__ = [
     "quantile",
     "require",
     "shown",
+    "wish_of",
 ]

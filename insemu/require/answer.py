@@ -18,9 +18,10 @@ from insemu.evaluate import input_files
 from insemu.filters import AidUse
 from insemu.require.asked import Requirement, asked
 from insemu.require.sensors import FIGURES, Sensor, completed, shown
-from insemu.require.track import LONGEST, Track, aids_of, kept, prepared
+from insemu.require.track import LONGEST, aids_of, kept, prepared
 from insemu.scenario import Scenario, Spoken, Wish, first_scenario, motion_of, validated
 from insemu.sensors import card, names
+from insemu.units import parse
 
 Array = NDArray[np.float64]
 Aids = Mapping[str, AidUse | None]
@@ -213,7 +214,8 @@ class Answer:
             "requirements": [vars(r) | {"text": r.text} for r in self.requirements],
             "cards": [
                 {
-                    "name": v.sensor.name, "about": v.sensor.about, "verdict": v.word, "probability": v.probability, "margin": v.margin,
+                    "name": v.sensor.name, "about": v.sensor.about, "verdict": v.word,
+                    "probability": v.probability, "margin": v.margin,
                     "errors": list(v.errors), "assumed": list(v.sensor.assumed), "limited_by": v.limits, "margin_if_halved": v.halved, "doubt": v.doubt,
                     "figures": dict(zip(FIGURES, v.sensor.values.tolist(), strict=True)),
                 }
@@ -336,6 +338,30 @@ def require(
     return replace(found, places=_places(question, C[chosen]), scenario=_scenario(question, sensors[chosen]))
 
 
+def wish_of(track: str = "", vehicle: str = "car", fixes: str = "") -> Wish:
+    """What is flown: a track, and fixes such as ``2 cm, 3 cm/s`` (horizontal position and velocity, 1 sigma; twice as much down).
+
+    Raises
+    ------
+    InputError
+        Fixes that cannot be read or are not positive.
+    """
+    wish = Wish(track=track, vehicle=vehicle)
+    if not fixes:
+        return wish
+    position, _, velocity = (part.strip() for part in fixes.partition(","))
+    if not velocity:
+        raise InputError(
+            f"found '{fixes}', expected standard deviations of position and velocity such as '2 cm, 3 cm/s'",
+            where="--fixes",
+        )
+    sigma = parse(position, "m"), parse(velocity, "m/s")
+    if min(sigma) <= 0.0:
+        raise InputError(f"found '{fixes}', expected positive standard deviations", where="--fixes")
+    spelled = [f"{s:.12g} {u}, {s:.12g} {u}, {2 * s:.12g} {u}" for s, u in zip(sigma, ("m", "m/s"), strict=True)]
+    return replace(wish, position=spelled[0], velocity=spelled[1])
+
+
 def _verdicts(question: Question, sensors: Sequence[Sensor]) -> tuple[list[Verdict], Array]:
     """One verdict per sensor: errors go with each figure as a power between its value and half of it."""
     halves = [(i, f) for i, s in enumerate(sensors) for f in np.flatnonzero(s.values)]
@@ -405,7 +431,9 @@ def _frontier(
     for pair in PLANES:
         i, j = (FIGURES.index(name) for name in pair)
         x, y = grid(i, PLANE), grid(j, PLANE)
-        tried = question.ratios([with_values((i, a), (j, b), of=share * finite) for a in x for b in y]).reshape(PLANE, PLANE)
+        tried = question.ratios([with_values((i, a), (j, b), of=share * finite) for a in x for b in y]).reshape(
+            PLANE, PLANE
+        )
         curve = np.array([[a, _crossing(y, row)] for a, row in zip(x, tried, strict=True)])
         planes[pair] = curve[np.isfinite(curve[:, 1]) & (curve[:, 1] > 0.0)]
     return dict(zip(FIGURES, alone.tolist(), strict=True)), dict(zip(FIGURES, just.tolist(), strict=True)), planes
@@ -422,7 +450,9 @@ def _alternatives(question: Question, sensors: Sequence[Sensor], aids: Aids) -> 
         nearest = int(np.abs(np.log(plain / ratio.max())).argmin())
         out.append(
             Alternative(
-                name, {s.name: float(1.0 / r) for s, r in zip(sensors, ratio, strict=True)}, sensors[nearest].name if used else ""
+                name,
+                {s.name: float(1.0 / r) for s, r in zip(sensors, ratio, strict=True)},
+                sensors[nearest].name if used else "",
             )
         )
     return tuple(out)
@@ -439,7 +469,11 @@ def _places(question: Question, C: Array) -> tuple[Place, ...]:
         errors = [float(r.error(C[question.seconds.index(r.seconds), k : k + 1])) for r in question.requirements]
         out.append(
             Place(
-                float(track.t[node]), float(speed.mean()), float(np.abs(np.diff(heading)).sum()), float((speed < 0.1).mean()), tuple(errors)
+                float(track.t[node]),
+                float(speed.mean()),
+                float(np.abs(np.diff(heading)).sum()),
+                float((speed < 0.1).mean()),
+                tuple(errors),
             )
         )
     return tuple(out)
@@ -461,15 +495,23 @@ def _road(file: str | Path) -> dict[str, tuple[float, float]]:
     """Factors between bench and vehicle on the figures, with the standard deviation of their logarithms; levels that the drive tells alone."""
     try:
         document = json.loads(Path(file).read_text(encoding="utf-8"))
-        known = {str(f["name"]): (float(f["value"]), math.log(f["high"] / f["low"]) / 3.92) for f in document["factors"] if f["told"]}
+        known = {
+            str(f["name"]): (float(f["value"]), math.log(f["high"] / f["low"]) / 3.92)
+            for f in document["factors"]
+            if f["told"]
+        }
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"holds no factors ({error}), expected what 'insemu transfer --json' prints", where=str(file)) from None
+        raise InputError(
+            f"holds no factors ({error}), expected what 'insemu transfer --json' prints", where=str(file)
+        ) from None
     out = {}
     for name, factor in known.items():
         triad, _, level = name.partition(" ")
         out |= {f"{triad} {kind}": factor for kind in ROAD.get(level, ()) if f"{triad} {kind}" in FIGURES}
     if not out:
-        raise InputError("tells no factor of gyroscopes or accelerometers, expected one whose interval is narrow", where=str(file))
+        raise InputError(
+            "tells no factor of gyroscopes or accelerometers, expected one whose interval is narrow", where=str(file)
+        )
     return out
 
 
@@ -481,4 +523,6 @@ def _on_the_road(sensor: Sensor, factors: Mapping[str, tuple[float, float]]) -> 
 
 def figures_text(values: Mapping[str, float]) -> dict[str, str]:
     """Figures in the units of datasheets."""
-    return {name: shown(FIGURES.index(name), v) if math.isfinite(v) else "any that was tried" for name, v in values.items()}
+    return {
+        name: shown(FIGURES.index(name), v) if math.isfinite(v) else "any that was tried" for name, v in values.items()
+    }

@@ -71,7 +71,9 @@ class Requirement:
         name, limit, share, after = found.groups()
         if name not in QUANTITIES:
             raise InputError(f"unknown quantity '{name}' in '{text}'" + nearest(name, QUANTITIES))
-        own = cls(name, parse(limit, QUANTITIES[name][1]), parse(share, "") if share else USUAL_SHARE, parse(after, "s"))
+        own = cls(
+            name, parse(limit, QUANTITIES[name][1]), parse(share, "") if share else USUAL_SHARE, parse(after, "s")
+        )
         if not own.limit > 0.0:
             raise InputError(f"no error is below {limit}, expected a positive limit in '{text}'")
         if not 0.0 < own.share < 1.0:
@@ -101,7 +103,10 @@ class Requirement:
         rows = list(QUANTITIES[self.quantity][0])
         C = covariance[..., rows, :][..., rows]
         if len(rows) == 2:
-            spread, mean = np.hypot(0.5 * (C[..., 0, 0] - C[..., 1, 1]), C[..., 0, 1]), 0.5 * (C[..., 0, 0] + C[..., 1, 1])
+            spread, mean = (
+                np.hypot(0.5 * (C[..., 0, 0] - C[..., 1, 1]), C[..., 0, 1]),
+                0.5 * (C[..., 0, 0] + C[..., 1, 1]),
+            )
             return quantile(mean + spread, np.maximum(mean - spread, 0.0), self.share)
         return quantile(C[..., 0, 0], np.zeros_like(C[..., 0, 0]), self.share)
 
@@ -150,5 +155,7 @@ def asked(texts: Sequence[str | Requirement]) -> tuple[Requirement, ...]:
     for i, one in enumerate(found):
         for two in found[i + 1 :]:
             if one != two and replace(one, limit=two.limit) == two:
-                raise InputError(f"'{one.text}' contradicts '{two.text}': the same error has one limit, expected one of them")
+                raise InputError(
+                    f"'{one.text}' contradicts '{two.text}': the same error has one limit, expected one of them"
+                )
     return tuple(dict.fromkeys(found))

@@ -81,7 +81,9 @@ def outages(
     F: Array, E: Array, D: Array, N: Array, C: Array, R: Array, H: Array, var: Array, q: Array, white: Array, P: Array, starts: Ints,
     ends: Ints, out: Array,
 ) -> None:  # fmt: skip
-    """Covariances of the navigation errors at the ends of outages of sensors side by side (:mod:`insemu.lanes`), each with the filter that knows its own sensor.
+    """Covariances of the navigation errors at the ends of outages, of sensors side by side (:mod:`insemu.lanes`).
+
+    Each sensor has the filter that knows its own figures, whose covariance is that of its errors.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ FAST = 1.0
 WORST_QUANTILE = 1.645
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sensor:
     """The figures of a sensor, alike on the three axes of a triad.
 
@@ -76,7 +76,9 @@ class Sensor:
         """
         typical, worst = (axis_models(card, case, assumptions) for case in ("typical", "worst"))
         if missing := [t for t in SIGNALS if not any(a.startswith(t) for a in typical)]:
-            raise InputError(f"{card.name} has no figures of its {missing[0]} triad, expected gyroscopes and accelerometers")
+            raise InputError(
+                f"{card.name} has no figures of its {missing[0]} triad, expected gyroscopes and accelerometers"
+            )
         (values, times), (most, _) = (_figures({a: m.model for a, m in c.items()}) for c in (typical, worst))
         scale = [card.of_axis(f"{triad}_x").get("scale_factor") for triad in SIGNALS]
         at = [i for i, name in enumerate(FIGURES) if name.endswith("scale factor")]
@@ -124,7 +126,9 @@ def completed(sensors: Sequence[Sensor]) -> list[Sensor]:
     """
     levels = np.log([max(s.values[0], 1e-300) for s in sensors])
     named = [next((g for g in GRADES if g in s.about.lower()), "") for s in sensors]
-    middle = {g: float(np.median([x for x, n in zip(levels, named, strict=True) if n == g])) for g in GRADES if g in named}
+    middle = {
+        g: float(np.median([x for x, n in zip(levels, named, strict=True) if n == g])) for g in GRADES if g in named
+    }
     out = []
     for s, x, name in zip(sensors, levels, named, strict=True):
         grade = name or min(middle, key=lambda g: abs(middle[g] - x))
@@ -198,7 +202,9 @@ def _figures(models: Mapping[str, NoiseModel]) -> tuple[Array, tuple[float, floa
         for j, (_, kinds, _) in enumerate(KINDS):
             found = [p for m in axes for p in m if isinstance(p, kinds)]
             if found:
-                values[triad * len(KINDS) + j] = math.sqrt(sum(p.parameters[p.level.name] ** 2 for p in found) / len(axes))
+                values[triad * len(KINDS) + j] = math.sqrt(
+                    sum(p.parameters[p.level.name] ** 2 for p in found) / len(axes)
+                )
             times[triad] = next((1.0 / p.parameters["beta"] for p in found if isinstance(p, GM)), times[triad])
     return values, (times[0], times[1])
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from insemu.compiled import own_folder
 from insemu.errors import InputError
 from insemu.evaluate import EmulatedWorld
-from insemu.filters import AIDS, SETTINGS, AidUse, Intervals, aid_jacobian, basis
-from insemu.records import AidRecord
+from insemu.filters import AIDS, AidUse, Intervals, aid_jacobian, basis
 from insemu.lanes import LANES, empty, lanes_of
+from insemu.records import AidRecord
 from insemu.require.kernel import FIX_ROWS, outages
 from insemu.require.sensors import Sensor, States, states_of
 from insemu.scenario import Scenario, code_version
@@ -246,7 +246,11 @@ def prepared(scenario: Scenario, file: str | Path | None, inputs: Mapping[str, P
     assert source is not None
     contents = [hashlib.sha256(path.read_bytes()).hexdigest() for path in inputs.values()]
     names = {"waypoints": None, "track": None, "motion": None}
-    parts = (source.model_dump(mode="json") | names, gnss.model_dump(mode="json", exclude={"outages"}), scenario.initial.model_dump())
+    parts = (
+        source.model_dump(mode="json") | names,
+        gnss.model_dump(mode="json", exclude={"outages"}),
+        scenario.initial.model_dump(),
+    )
     key = hashlib.sha256(repr((contents, *parts)).encode()).hexdigest()
     clear = scenario.model_copy(update={"gnss": gnss.model_copy(update={"outages": ()})})
     held = kept("track", [key], lambda: {name: np.asarray(v) for name, v in vars(Track.of(clear, file)).items()})
@@ -270,5 +274,7 @@ def aids_of(text: str) -> dict[str, AidUse | None]:
         elif name in known and sigma:
             out[name] = AidUse.from_mapping(AIDS[name], {"sigma": sigma, "rate": AID_RATE})
         else:
-            raise InputError(f"found '{part}', expected NAME=SIGMA with {', '.join(known)}, or standstill", where="--aids")
+            raise InputError(
+                f"found '{part}', expected NAME=SIGMA with {', '.join(known)}, or standstill", where="--aids"
+            )
     return out
