@@ -1,8 +1,8 @@
 """Requirements turned round: which sensor keeps an error after an outage, from the covariance of its own matched filter."""
 
-from insemu.require.answer import PLANES, Alternative, Answer, Place, Question, Verdict, figures_text, require, wish_of
+from insemu.require.answer import PLANES, Alternative, Answer, Place, Question, Verdict, figures_text, require, scenario_of, wish_of
 from insemu.require.asked import QUANTITIES, Requirement, asked, quantile
-from insemu.require.sensors import FIGURES, UNITS, Sensor, shown
+from insemu.require.sensors import FIGURES, UNITS, Sensor, completed, shown
 from insemu.require.track import Track, aids_of, prepared
 
 __all__ = [
@@ -20,10 +20,12 @@ __all__ = [
     "Verdict",
     "aids_of",
     "asked",
+    "completed",
     "figures_text",
     "prepared",
     "quantile",
     "require",
+    "scenario_of",
     "shown",
     "wish_of",
 ]

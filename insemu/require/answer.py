@@ -251,7 +251,7 @@ class Question:
     def __init__(self, requirements: Sequence[str | Requirement], wish: Wish, file: str | Path) -> None:
         self.requirements = asked(requirements)
         self.file = Path(file)
-        wish = replace(wish, longest=LONGEST)
+        wish = replace(wish, longest=min(wish.longest, LONGEST))
         self.wish = replace(wish, motion=motion_of(self.file.parent, wish))
         document = yamlfile.parse(first_scenario(self.file, self.wish), str(self.file))
         scenario = validated(Scenario, document)
@@ -335,7 +335,7 @@ def require(
         {k: v for k, (v, _) in factors.items()}, "", own.name if own else "",
     )  # fmt: skip
     chosen = next(i for i, s in enumerate(sensors) if s is found.chosen.sensor)
-    return replace(found, places=_places(question, C[chosen]), scenario=_scenario(question, sensors[chosen]))
+    return replace(found, places=_places(question, C[chosen]), scenario=scenario_of(question, sensors[chosen]))
 
 
 def wish_of(track: str = "", vehicle: str = "car", fixes: str = "") -> Wish:
@@ -479,7 +479,7 @@ def _places(question: Question, C: Array) -> tuple[Place, ...]:
     return tuple(out)
 
 
-def _scenario(question: Question, sensor: Sensor) -> str:
+def scenario_of(question: Question, sensor: Sensor) -> str:
     """Text of the scenario that flies a sensor through outages at these places, as many as leave the filter time to settle between them."""
     track, longest = question.track, max(question.seconds)
     outages: list[tuple[float, float]] = []

@@ -1,0 +1,100 @@
+"""Answers of ``insemu require`` against full Monte Carlo, what they cost, and outage figures that makers and papers print.
+
+Run: .venv/bin/python -m benchmarks.requirements [--triples N] [--realizations N] [--times] [--printed]
+Each row prints what was asked for, whether it is met, and the numbers behind it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from insemu import yamlfile
+from insemu.compiled import own_folder
+from insemu.evaluate import Experiment, run_experiment
+from insemu.require import Question, Sensor, completed, require, scenario_of, wish_of
+from insemu.scenario import Scenario, validated
+from insemu.sensors import card, names
+
+TRACKS = ("urban_drive_1", "urban_motorway", "helicopter_mapping", "lemniscate", "turbulent_uav")
+SECONDS = (10, 20, 30, 60)
+#: Metres agree within this share; a limit is drawn within this factor of what is predicted.
+WITHIN, FACTOR = 0.15, 3.0
+#: Part of each track that is flown, s.
+LONGEST = 300.0
+
+
+def row(what: str, met: bool, said: str) -> None:
+    print(f"{'met ' if met else 'OPEN'} {what}: {said}", flush=True)
+
+
+def triples(count: int, realizations: int) -> None:
+    """Random cards, tracks and outages: the 95 % error of the linear answer beside that of flights of the full filter."""
+    rng = np.random.default_rng(66)
+    sensors = completed([Sensor.of_card(card(name)) for name in names()])
+    near = same = 0
+    for k in range(count):
+        sensor, track, seconds = sensors[rng.integers(len(sensors))], TRACKS[rng.integers(len(TRACKS))], SECONDS[rng.integers(len(SECONDS))]
+        limit = float(np.exp(rng.uniform(-1.0, 1.0) * np.log(FACTOR)))
+        path = Path(tempfile.gettempdir()) / "triple.yaml"
+        question = Question([f"planimetric < 1 m after {seconds} s"], replace(wish_of(track), longest=LONGEST), path)
+        C = question.errors([sensor])[1][0, 0]
+        scenario = validated(Scenario, yamlfile.parse(scenario_of(question, sensor), str(path)))
+        scenario = scenario.model_copy(update={"designs": {"complete": scenario.designs["complete"]}, "smoother": False})
+        flown = run_experiment(Experiment(scenario, path), realizations=realizations).planimetric_ends("complete")
+        starts = question.track.t[question.track.starts(seconds)]
+        at = [int(np.argmin(np.abs(starts - outage.start_s))) for outage in scenario.gnss.outages]
+        linear, full = float(question.requirements[0].error(C[at])), float(np.quantile(flown, 0.95))
+        rms = [float(np.sqrt(np.trace(C[at][:, :2, :2], axis1=1, axis2=2).mean())), float(np.sqrt((flown**2).mean()))]
+        good, alike = abs(linear / full - 1.0) <= WITHIN, (full <= linear * limit) == (limit >= 1.0)
+        near += good
+        same += alike
+        print(
+            f"  {k + 1:2} {sensor.name:14} {track:18} {seconds:3} s: 95 % {linear:8.3g} m, flights {full:8.3g} ({linear / full:.2f}); rms {rms[0]:8.3g}, "
+            f"{rms[1]:8.3g} ({rms[0] / rms[1]:.2f}){'' if good else '  OUTSIDE'}{'' if alike else '  OTHER CHOICE'}",
+            flush=True,
+        )
+    row(f"metres within {WITHIN:.0%} of {realizations} flights", near >= 0.95 * count, f"{near} of {count}")
+    row("the same choice", same >= 0.95 * count, f"{same} of {count}, limits within a factor of {FACTOR:g} of what is predicted")
+
+
+def times() -> None:
+    """CPU seconds of a query in this process, kernels compiled: on a new track, on one seen before, and of one point more."""
+    asked, path = ["planimetric < 10 m at 95 % after 30 s"], Path(tempfile.gettempdir()) / "time.yaml"
+    require(asked, wish_of("lemniscate"), path)
+    shutil.rmtree(own_folder() / "require")
+    spent = []
+    for _ in range(2):
+        begun = time.process_time()
+        require(asked, wish_of("urban_motorway"), path)
+        spent.append(time.process_time() - begun)
+    row("a query on a new track", spent[0] <= 5.0, f"{spent[0]:.2f} CPU s")
+    row("on one seen before", spent[1] <= 1.0, f"{spent[1]:.2f} CPU s")
+    question = Question(asked, wish_of("urban_motorway"), path)
+    sensor = Sensor.of_card(card("STIM300"))
+    begun = time.process_time()
+    question.errors([replace(sensor, values=sensor.values * (1.0 + 0.01 * k)) for k in range(16)])
+    point = (time.process_time() - begun) / 16
+    row("a point more", point <= 0.3, f"{point:.3f} CPU s")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--triples", type=int, default=0)
+    parser.add_argument("--realizations", type=int, default=100)
+    parser.add_argument("--times", action="store_true")
+    given = parser.parse_args()
+    if given.triples:
+        triples(given.triples, given.realizations)
+    if given.times:
+        times()
+
+
+if __name__ == "__main__":
+    main()
