@@ -121,11 +121,12 @@ class Sensor:
 def completed(sensors: Sequence[Sensor]) -> list[Sensor]:
     """The sensors with the in-run biases that no source prints: the geometric mean of those of the same grade, with their spread.
 
-    A grade is the first of :data:`GRADES` that stands in what a card says of the sensor; one that says none is of the grade whose white noise of
-    the gyroscopes is nearest.
+    A grade is that of :data:`GRADES` which a card names first; a card that names none is of the grade whose white noise of the gyroscopes is
+    nearest.
     """
     levels = np.log([max(s.values[0], 1e-300) for s in sensors])
-    named = [next((g for g in GRADES if g in s.about.lower()), "") for s in sensors]
+    said = [s.about.lower() for s in sensors]
+    named = [min((g for g in GRADES if g in text), key=text.find, default="") for text in said]
     middle = {
         g: float(np.median([x for x, n in zip(levels, named, strict=True) if n == g])) for g in GRADES if g in named
     }
