@@ -72,7 +72,7 @@ def free(tmp_path_factory: pytest.TempPathFactory) -> Track:
     ],
 )
 def test_errors_at_rest_grow_by_the_closed_forms(free: Track, figure: str, level: float, metres) -> None:
-    C = free.covariances([with_figure(figure, level)], [20.0])[0, 0]
+    C = free.covariances([with_figure(figure, level)], [20.0])[0][0, 0]
     end = free.t[free.starts(20.0)] + 20.0
     sigma = np.sqrt(0.5 * np.trace(C[:, :2, :2], axis1=1, axis2=2))
     # the table is tilted by 2 deg, the earth turns by 0.3 deg, and a Schuler period is 84 min
@@ -83,14 +83,14 @@ def test_errors_at_rest_grow_by_the_closed_forms(free: Track, figure: str, level
 def test_errors_of_the_start_grow_by_the_closed_forms(free: Track, at: int, per) -> None:
     start = np.zeros(9)
     start[at : at + 2] = 1e-3
-    C = replace(free, start=start).covariances([NOTHING], [20.0])[0, 0]
+    C = replace(free, start=start).covariances([NOTHING], [20.0])[0][0, 0]
     end = free.t[free.starts(20.0)] + 20.0
     np.testing.assert_allclose(np.sqrt(0.5 * np.trace(C[:, :2, :2], axis1=1, axis2=2)), 1e-3 * per(end), rtol=4e-3)
 
 
 def test_scale_factors_act_by_what_the_axes_measure(free: Track) -> None:
     """At rest the accelerometers measure gravity: the height errs by s g t^2 / 2."""
-    C = free.covariances([with_figure("accel scale factor", 1e-3)], [20.0])[0, 0]
+    C = free.covariances([with_figure("accel scale factor", 1e-3)], [20.0])[0][0, 0]
     end = free.t[free.starts(20.0)] + 20.0
     np.testing.assert_allclose(np.sqrt(C[:, 2, 2]), 1e-3 * G * end**2 / 2, rtol=4e-3)
 
@@ -169,7 +169,9 @@ def test_figures_that_no_source_prints_are_those_of_the_grade() -> None:
 
 
 def test_a_card_gives_its_figures_with_their_spread() -> None:
-    one = Sensor.of_card(of_text("ARW 0.3 deg/sqrt(h), scale factor 500 ppm, VRW 0.06 m/s/sqrt(h), scale factor 300 ppm"))
+    one = Sensor.of_card(
+        of_text("ARW 0.3 deg/sqrt(h), scale factor 500 ppm, VRW 0.06 m/s/sqrt(h), scale factor 300 ppm")
+    )
     value = dict(zip(FIGURES, one.values, strict=True))
     assert value["gyro white noise"] == pytest.approx(np.deg2rad(0.3) / 60)
     assert (value["gyro scale factor"], value["accel scale factor"]) == pytest.approx((5e-4, 3e-4))
@@ -227,7 +229,9 @@ def test_an_aid_helps_and_is_worth_a_better_card(answer) -> None:
     none, odometer = answer.alternatives
     assert all(odometer.margins[n] > none.margins[n] for n in none.margins)
     least = min(odometer.margins.values())
-    assert none.margins[odometer.like] == pytest.approx(min(none.margins.values(), key=lambda m: abs(math.log(m / least))))
+    assert none.margins[odometer.like] == pytest.approx(
+        min(none.margins.values(), key=lambda m: abs(math.log(m / least)))
+    )
 
 
 def test_all_and_none_are_said_with_what_would_change_it(question: Question) -> None:
@@ -290,20 +294,39 @@ def done(arguments: list[str]) -> None:
 
 def test_the_command_writes_page_json_and_scenario(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    done(["require", ASKED, "--track", "lemniscate", "--fixes", "2 cm, 3 cm/s", "--have", "BMI088", "--output", str(out), "--json"])
+    done(
+        [
+            "require",
+            ASKED,
+            "--track",
+            "lemniscate",
+            "--fixes",
+            "2 cm, 3 cm/s",
+            "--have",
+            "BMI088",
+            "--output",
+            str(out),
+            "--json",
+        ]
+    )
     found = json.loads(capsys.readouterr().out)
     assert found == json.loads((out / "require.json").read_text()) and found["chosen"] == "BMI088"
     assert "position_sigma: [0.02 m, 0.02 m, 0.04 m]" in (out / "scenario.yaml").read_text()
     page = (out / "index.html").read_text(encoding="utf-8")
     assert found["answer"].replace("<", "&lt;") in page and "BMI088" in page
-    done(["run", str(out / "scenario.yaml"), "--realizations", "2", "--no-pictures", "--output", str(tmp_path / "flown")])
+    done(
+        ["run", str(out / "scenario.yaml"), "--realizations", "2", "--no-pictures", "--output", str(tmp_path / "flown")]
+    )
     assert (tmp_path / "flown" / "summary.json").is_file()
 
 
 @pytest.mark.parametrize(
-    "arguments", [["planimetric < 1 m"], [ASKED, "--have", "NOSUCH"], [ASKED, "--fixes", "2 cm"], [ASKED, "--track", "nosuch.gpx"]]
+    "arguments",
+    [["planimetric < 1 m"], [ASKED, "--have", "NOSUCH"], [ASKED, "--fixes", "2 cm"], [ASKED, "--track", "nosuch.gpx"]],
 )
-def test_a_refused_command_writes_nothing(arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_refused_command_writes_nothing(
+    arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as left:
         main(["require", *arguments, "--output", str(tmp_path / "out")])
     assert left.value.code == 2 and not (tmp_path / "out").exists()

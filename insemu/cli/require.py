@@ -17,6 +17,9 @@ def command(
     aids: str = option("--aids", ""),
     have: str = option("--have", ""),
     transfer: str = option("--transfer", ""),
+    realizations: int | None = option(
+        "--realizations", None, "Flights of the full filter where the linear answer is doubtful; default none."
+    ),
     out: str = option(
         "--output", "", "Folder for page, require.json and scenario.yaml; default results/TRACK-require."
     ),
@@ -40,7 +43,15 @@ def command(
 
     folder = Path(out) if out else Path("results") / f"{Path(track).stem or 'drive'}-require"
     scenario = folder / "scenario.yaml"
-    found = require(requirements, wish_of(track, vehicle, fixes), scenario, aids=aids, have=have, road=transfer)
+    found = require(
+        requirements,
+        wish_of(track, vehicle, fixes),
+        scenario,
+        aids=aids,
+        have=have,
+        road=transfer,
+        realizations=realizations or 0,
+    )
     with only_writer(folder):
         put(scenario, found.scenario)
         put(folder / "require.json", json.dumps(found.to_json(), indent=1, allow_nan=False))

@@ -77,8 +77,12 @@ def require_notes(found: Answer) -> list[str]:
     doubtful = [v for v in found.verdicts if v.doubt]
     if doubtful:
         notes.append(
-            f"? the linear answer is doubtful for {', '.join(v.sensor.name for v in doubtful)}: {doubtful[0].doubt}. The full filter decides: "
-            "--have NAME writes its scenario, insemu run flies it."
+            f"? the linear answer is doubtful for {', '.join(v.sensor.name for v in doubtful)}: {doubtful[0].doubt}. "
+            + (
+                f"Their errors are those of {doubtful[0].flown} flights of the full filter."
+                if doubtful[0].flown
+                else "--realizations N flies them."
+            )
         )
     if found.road:
         notes.append(

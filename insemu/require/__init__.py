@@ -1,11 +1,23 @@
 """Requirements turned round: which sensor keeps an error after an outage, from the covariance of its own matched filter."""
 
-from insemu.require.answer import PLANES, Alternative, Answer, Place, Question, Verdict, figures_text, require, scenario_of, wish_of
+from insemu.require.answer import (
+    PLANES,
+    Alternative,
+    Answer,
+    Place,
+    Question,
+    Verdict,
+    figures_text,
+    require,
+    scenario_of,
+    wish_of,
+)
 from insemu.require.asked import QUANTITIES, Requirement, asked, quantile
 from insemu.require.sensors import FIGURES, UNITS, Sensor, completed, shown
 from insemu.require.track import Track, aids_of, prepared
 
 __all__ = [
+    "DOUBTFUL",
     "FIGURES",
     "PLANES",
     "QUANTITIES",
@@ -22,6 +34,7 @@ __all__ = [
     "asked",
     "completed",
     "figures_text",
+    "flights",
     "prepared",
     "quantile",
     "require",

@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
 from insemu import rotation, yamlfile
 from insemu.errors import InputError
-from insemu.evaluate import input_files
+from insemu.evaluate import Experiment, input_files, run_experiment
 from insemu.filters import AidUse
-from insemu.require.asked import Requirement, asked
+from insemu.require.asked import QUANTITIES, Requirement, asked
 from insemu.require.sensors import FIGURES, Sensor, completed, shown
 from insemu.require.track import LONGEST, aids_of, kept, prepared
 from insemu.scenario import Scenario, Spoken, Wish, first_scenario, motion_of, validated
@@ -71,6 +72,8 @@ class Verdict:
         Margin with that figure halved.
     doubt : str
         Why the linear answer is doubtful; empty where it is not.
+    flown : int
+        Flights of the full filter that the errors come from; 0: the linear answer.
     """
 
     sensor: Sensor
@@ -80,6 +83,7 @@ class Verdict:
     limits: str
     halved: float
     doubt: str
+    flown: int = 0
 
     @property
     def word(self) -> str:
@@ -215,8 +219,9 @@ class Answer:
             "cards": [
                 {
                     "name": v.sensor.name, "about": v.sensor.about, "verdict": v.word,
-                    "probability": v.probability, "margin": v.margin,
-                    "errors": list(v.errors), "assumed": list(v.sensor.assumed), "limited_by": v.limits, "margin_if_halved": v.halved, "doubt": v.doubt,
+                    "flown": v.flown, "probability": v.probability, "margin": v.margin,
+                    "errors": list(v.errors), "assumed": list(v.sensor.assumed), "limited_by": v.limits, "margin_if_halved": v.halved,
+                    "doubt": v.doubt,
                     "figures": dict(zip(FIGURES, v.sensor.values.tolist(), strict=True)),
                 }
                 for v in self.verdicts
@@ -258,12 +263,17 @@ class Question:
         self.track, self._key = prepared(scenario, self.file, input_files(scenario, self.file))
         self.seconds = sorted({r.seconds for r in self.requirements})
 
-    def errors(self, sensors: Sequence[Sensor], aids: Aids | None = None) -> tuple[Array, Array]:
-        """Errors of sensors (requirements, sensors) in SI, and the covariances (sensors, lengths, starts, 9, 9) behind them."""
+    def errors(self, sensors: Sequence[Sensor], aids: Aids | None = None) -> tuple[Array, Array, Array]:
+        """Errors of sensors (requirements, sensors) in SI, covariances (sensors, lengths, starts, 9, 9) and largest attitude errors behind them."""
         measured = {name: use and use.to_mapping() for name, use in (aids or {}).items()}
         parts = (self._key, self.seconds, measured, [(s.values.tolist(), s.times) for s in sensors])
-        C = kept("covariances", parts, lambda: {"C": self.track.covariances(sensors, self.seconds, aids)})["C"]
-        return np.stack([r.error(C[:, self.seconds.index(r.seconds)]) for r in self.requirements]), C
+
+        def made() -> dict[str, Array]:
+            return dict(zip(("C", "attitude"), self.track.covariances(sensors, self.seconds, aids), strict=True))
+
+        found = kept("covariances", parts, made)
+        C = found["C"]
+        return np.stack([r.error(C[:, self.seconds.index(r.seconds)]) for r in self.requirements]), C, found["attitude"]
 
     def ratios(self, sensors: Sequence[Sensor], aids: Aids | None = None) -> Array:
         """Error over limit, the largest of all requirements, (sensors,)."""
@@ -293,6 +303,7 @@ def require(
     aids: str = "",
     have: str = "",
     road: str | Path = "",
+    realizations: int = 0,
 ) -> Answer:
     """Which sensor cards keep some requirements on a track, and what would just do.
 
@@ -313,6 +324,8 @@ def require(
         One's own sensor: a card's name or file.
     road : path
         What ``insemu transfer --json`` printed: factors between bench and vehicle, which are put on the figures of all cards.
+    realizations : int
+        Flights of the full filter for every sensor of which the linear answer is doubtful; 0: none.
 
     Raises
     ------
@@ -328,6 +341,7 @@ def require(
     sensors += [own] if own is not None and own.name not in {s.name for s in sensors} else []
     sensors = [_on_the_road(s, factors) for s in completed(sensors)]
     verdicts, C = _verdicts(question, sensors)
+    verdicts = [_flown(question, v, realizations) if v.doubt and realizations else v for v in verdicts]
     alone, just, planes = _frontier(question, sensors)
     alternatives = _alternatives(question, sensors, used)
     found = Answer(
@@ -339,7 +353,14 @@ def require(
 
 
 def wish_of(track: str = "", vehicle: str = "car", fixes: str = "") -> Wish:
-    """What is flown: a track, and fixes such as ``2 cm, 3 cm/s`` (horizontal position and velocity, 1 sigma; twice as much down).
+    """What is flown.
+
+    Parameters
+    ----------
+    track, vehicle : str
+        See :class:`~insemu.scenario.Wish`.
+    fixes : str
+        Standard deviations such as ``2 cm, 3 cm/s``: horizontal position and velocity; twice as much down.
 
     Raises
     ------
@@ -365,7 +386,7 @@ def wish_of(track: str = "", vehicle: str = "car", fixes: str = "") -> Wish:
 def _verdicts(question: Question, sensors: Sequence[Sensor]) -> tuple[list[Verdict], Array]:
     """One verdict per sensor: errors go with each figure as a power between its value and half of it."""
     halves = [(i, f) for i, s in enumerate(sensors) for f in np.flatnonzero(s.values)]
-    errors, C = question.errors([*sensors, *(sensors[i].times_factor(f, 0.5) for i, f in halves)])
+    errors, C, attitude = question.errors([*sensors, *(sensors[i].times_factor(f, 0.5) for i, f in halves)])
     power = np.zeros((len(question.requirements), len(sensors), len(FIGURES)))
     halved = np.full((len(sensors), len(FIGURES)), -np.inf)
     limits = question.limits[:, None]
@@ -376,7 +397,6 @@ def _verdicts(question: Question, sensors: Sequence[Sensor]) -> tuple[list[Verdi
     out = []
     for i, s in enumerate(sensors):
         units = np.log(errors[:, i]) + (z * s.spread) @ power[:, i].T
-        attitude = float(np.sqrt(C[i][..., range(6, 9), range(6, 9)].max()))
         f = int(halved[i].argmax())
         margin = float((limits[:, 0] / errors[:, i]).min())
         better = bool(halved[i, f] > margin)
@@ -384,10 +404,37 @@ def _verdicts(question: Question, sensors: Sequence[Sensor]) -> tuple[list[Verdi
             Verdict(
                 s, tuple(errors[:, i].tolist()), float((units <= np.log(limits[:, 0])).all(axis=1).mean()), margin, FIGURES[f] if better else "",
                 float(halved[i, f]) if better else margin,
-                f"the attitude is known to {math.degrees(attitude):.0f} deg only" if attitude > DOUBTFUL else "",
+                f"on the way the attitude is known to {math.degrees(attitude[i]):.0f} deg only" if attitude[i] > DOUBTFUL else "",
             )
         )  # fmt: skip
     return out, C[: len(sensors)]
+
+
+def flights(question: Question, sensor: Sensor, realizations: int) -> Array:
+    """Navigation errors (realizations, outages, 9) of the full filter at the ends of the outages of :func:`scenario_of`."""
+    scenario = validated(Scenario, yamlfile.parse(scenario_of(question, sensor), str(question.file)))
+    scenario = scenario.model_copy(update={"designs": {"complete": scenario.designs["complete"]}})
+    results = run_experiment(Experiment(scenario, question.file), realizations=realizations)
+    return np.asarray(results.total.runs["end_error"])[0]
+
+
+def _flown(question: Question, verdict: Verdict, realizations: int) -> Verdict:
+    """A verdict with the errors of the full filter in place of the linear ones; units differ by the same factors.
+
+    All outages of a flight are as long as the longest that is asked for, so that only requirements of that length are judged by flights.
+    """
+    errors = list(verdict.errors)
+    ends = flights(question, verdict.sensor, realizations)
+    for k, r in enumerate(question.requirements):
+        if r.seconds == max(question.seconds):
+            sizes = np.linalg.norm(ends[..., list(QUANTITIES[r.quantity][0])], axis=-1)
+            errors[k] = float(np.quantile(sizes, r.share))
+    margin = float(min(r.limit / e for r, e in zip(question.requirements, errors, strict=True)))
+    spread = max(float(np.linalg.norm(verdict.sensor.spread)), 1e-12)
+    within = float(scipy.special.ndtr(math.log(margin) / spread))
+    return replace(
+        verdict, errors=tuple(errors), margin=margin, probability=within, limits="", halved=margin, flown=realizations
+    )
 
 
 def _crossing(x: Array, ratio: Array) -> float:

@@ -72,7 +72,10 @@ class Requirement:
         if name not in QUANTITIES:
             raise InputError(f"unknown quantity '{name}' in '{text}'" + nearest(name, QUANTITIES))
         own = cls(
-            name, parse(limit, QUANTITIES[name][1]), round(parse(share, ""), 12) if share else USUAL_SHARE, parse(after, "s")
+            name,
+            parse(limit, QUANTITIES[name][1]),
+            round(parse(share, ""), 12) if share else USUAL_SHARE,
+            parse(after, "s"),
         )
         if not own.limit > 0.0:
             raise InputError(f"no error is below {limit}, expected a positive limit in '{text}'")

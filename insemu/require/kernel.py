@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.compiled import njit
-from insemu.lanes import zeros
+from insemu.lanes import where, zeros
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -79,7 +79,7 @@ def _measured(P: Array, G: Array, H: Array, var: Array, first: int, last: int) -
 @njit(cache=True, nogil=True)
 def outages(
     F: Array, E: Array, D: Array, N: Array, C: Array, R: Array, H: Array, var: Array, q: Array, white: Array, P: Array, starts: Ints,
-    ends: Ints, out: Array,
+    ends: Ints, out: Array, most: Array,
 ) -> None:  # fmt: skip
     """Covariances of the navigation errors at the ends of outages, of sensors side by side (:mod:`insemu.lanes`).
 
@@ -101,12 +101,18 @@ def outages(
         Nodes at which outages begin (their fixes are used) and at which errors are asked for, both increasing.
     out : (s, h, 9, 9) array of lanes
         Overwritten.
+    most : (1,) array of lanes
+        Overwritten: the largest variance of a component of the attitude at any node, before its fix.
     """
     n, rows = P.shape[0], var.shape[1]
     X, G, free = zeros(P, (n, 9)), zeros(P, n), zeros(P, (n, n))
+    for i in range(6, 9):
+        most[0] = where(P[i, i] > most[0], P[i, i], most[0])
     for s in range(starts.size):
         for k in range(starts[s - 1] if s else 0, starts[s]):
             _moved(P, X, F[k], E[k], D[k], N[k], C[k], R[k], q, white)
+            for i in range(6, 9):
+                most[0] = where(P[i, i] > most[0], P[i, i], most[0])
             _measured(P, G, H[k + 1], var[k + 1], 0, rows)
         for i in range(n):
             for j in range(n):
@@ -115,6 +121,8 @@ def outages(
         for h in range(ends.shape[1]):
             for k in range(at, ends[s, h]):
                 _moved(free, X, F[k], E[k], D[k], N[k], C[k], R[k], q, white)
+                for i in range(6, 9):
+                    most[0] = where(free[i, i] > most[0], free[i, i], most[0])
                 _measured(free, G, H[k + 1], var[k + 1], FIX_ROWS, rows)
             at = ends[s, h]
             for i in range(9):

@@ -156,8 +156,10 @@ class Track:
 
     def covariances(
         self, sensors: Sequence[Sensor], seconds: Sequence[float], aids: Mapping[str, AidUse | None] | None = None
-    ) -> Array:
-        """Covariances of the navigation errors at the ends of outages, each sensor with the filter that knows its figures.
+    ) -> tuple[Array, Array]:
+        """Covariances of the navigation errors at the ends of outages, and the largest attitude error on the way.
+
+        Each sensor has the filter that knows its figures.
 
         Parameters
         ----------
@@ -169,7 +171,8 @@ class Track:
 
         Returns
         -------
-        (sensors, lengths, starts, 9, 9) array
+        (sensors, lengths, starts, 9, 9) array, (sensors,) array
+            The second is a standard deviation, rad.
 
         Raises
         ------
@@ -180,7 +183,7 @@ class Track:
         starts = self.starts(max(seconds))
         ends = np.searchsorted(self.t, self.t[starts, None] + np.asarray(seconds)[None, order] - 1e-6).astype(np.int64)
         H, var = self.measurements(aids or {})
-        found = np.empty((len(sensors), len(seconds), starts.size, 9, 9))
+        found, attitude = np.empty((len(sensors), len(seconds), starts.size, 9, 9)), np.empty(len(sensors))
         alike: dict[tuple[tuple[float, ...], bool], list[int]] = {}
         for i, one in enumerate(sensors):
             alike.setdefault(one.kind(self.dt), []).append(i)
@@ -191,16 +194,17 @@ class Track:
             for first in range(0, len(members), LANES):
                 some = members[first : first + LANES]
                 lanes = np.minimum(np.arange(first, first + LANES), len(members) - 1)
-                shapes = ((9 + m, 9 + m), (starts.size, len(seconds), 9, 9), (m,), (6,))
-                P, out, q, white = (empty((*shape, LANES)) for shape in shapes)
-                P[:] = 0.0
+                shapes = ((9 + m, 9 + m), (starts.size, len(seconds), 9, 9), (m,), (6,), (1,))
+                P, out, q, white, most = (empty((*shape, LANES)) for shape in shapes)
+                P[:], most[:] = 0.0, 0.0
                 P[range(9), range(9)] = self.start[:, None] ** 2
                 P[range(9, 9 + m), range(9, 9 + m)] = states.P0[:, lanes]
                 q[:], white[:] = states.q[:, lanes], states.white[:, lanes]
                 side = [lanes_of(a) for a in (q, white, P)]
-                outages(self.F, E, D, N, C, R, H, var, *side, starts, ends, lanes_of(out))
+                outages(self.F, E, D, N, C, R, H, var, *side, starts, ends, lanes_of(out), lanes_of(most))
                 found[np.array(some)[:, None], order] = out.transpose(4, 1, 0, 2, 3)[: len(some)]
-        return found
+                attitude[some] = np.sqrt(most[0, : len(some)])
+        return found, attitude
 
 
 def kept(name: str, parts: Sequence[object], make: Callable[[], dict[str, Array]]) -> dict[str, Array]:
