@@ -410,10 +410,18 @@ def _verdicts(question: Question, sensors: Sequence[Sensor]) -> tuple[list[Verdi
     return out, C[: len(sensors)]
 
 
-def flights(question: Question, sensor: Sensor, realizations: int) -> Array:
-    """Navigation errors (realizations, outages, 9) of the full filter at the ends of the outages of :func:`scenario_of`."""
+def flights(question: Question, sensor: Sensor, realizations: int, seed: int = SEED) -> Array:
+    """Navigation errors (realizations, outages, 9) of the full filter at the ends of the outages of :func:`scenario_of`.
+
+    Parameters
+    ----------
+    question : Question
+    sensor : Sensor
+    realizations, seed : int
+        Of the flights.
+    """
     scenario = validated(Scenario, yamlfile.parse(scenario_of(question, sensor), str(question.file)))
-    scenario = scenario.model_copy(update={"designs": {"complete": scenario.designs["complete"]}})
+    scenario = scenario.model_copy(update={"designs": {"complete": scenario.designs["complete"]}, "seed": seed})
     results = run_experiment(Experiment(scenario, question.file), realizations=realizations)
     return np.asarray(results.total.runs["end_error"])[0]
 
