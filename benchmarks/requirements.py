@@ -17,9 +17,9 @@ import numpy as np
 
 from insemu import yamlfile
 from insemu.compiled import own_folder
-from insemu.require import DOUBTFUL, Question, Sensor, completed, flights, require, scenario_of, wish_of
+from insemu.require import DOUBTFUL, Question, Sensor, completed, flights, quantile, require, scenario_of, wish_of
 from insemu.scenario import Scenario, validated
-from insemu.sensors import card, names
+from insemu.sensors import card, names, of_text
 
 TRACKS = ("urban_drive_1", "urban_motorway", "helicopter_mapping", "lemniscate", "turbulent_uav")
 SECONDS = (10, 20, 30, 60)
@@ -27,6 +27,8 @@ SECONDS = (10, 20, 30, 60)
 WITHIN, FACTOR = 0.15, 3.0
 #: Part of each track that is flown, s.
 LONGEST = 300.0
+#: Printed outage figures, and units that are drawn of each type.
+PRINTED, UNITS = Path(__file__).parents[1] / "docs" / "printed_outages.yaml", 40
 
 
 def row(what: str, met: bool, said: str) -> None:
@@ -75,6 +77,47 @@ def triples(count: int, realizations: int, only: set[int]) -> None:
     row("the same choice", same >= 0.95 * done, said)
 
 
+def printed() -> None:
+    """Outage figures of makers and papers beside what the units' own figures predict, with what 95 % of units and outages keep."""
+    rng = np.random.default_rng(66)
+    entries = yamlfile.read(PRINTED).data
+    sensors = completed([Sensor.of_card(card(name)) for name in names()])
+    near = inside = count = 0
+    for entry in entries:
+        known = next((s for s in sensors if s.name == entry.get("card")), None)
+        sensor = known or Sensor.of_card(of_text(entry["figures"]))
+        spread = np.exp(sensor.spread * rng.standard_normal((UNITS, len(sensor.spread))))
+        units = [sensor, *(replace(sensor, values=sensor.values * factor) for factor in spread)]
+        for outage in entry["outages"]:
+            wish = replace(wish_of(outage["track"], fixes=entry["fixes"]), longest=2 * LONGEST)
+            question = Question(
+                [f"planimetric < 1 km after {outage['seconds']} s"], wish, Path(tempfile.gettempdir()) / "printed.yaml"
+            )
+            C = question.errors(units)[1][:, 0, :, :2, :2]
+            values = np.maximum(np.linalg.eigvalsh(C), 0.0)
+            if outage["of"] == "one":
+                found = [quantile(values[None, 0, :, 1], values[None, 0, :, 0], 0.5)[0]]
+                whole = values.reshape(1, -1, 2)
+                found += [quantile(whole[..., 1], whole[..., 0], share)[0] for share in (0.025, 0.975)]
+            else:
+                # the mean of the length is that of the rms times a factor between sqrt(2/pi) and sqrt(pi)/2: the middle of both
+                each = np.sqrt(values.sum(axis=2).mean(axis=1)) * (1.0 if outage["of"] == "rms" else 0.84)
+                found = [each[0], *np.quantile(each, (0.025, 0.975))]
+            ratio, held = found[0] / outage["metres"], found[1] <= outage["metres"] <= found[2]
+            count, near, inside = count + 1, near + (1 / 1.5 <= ratio <= 1.5), inside + held
+            print(
+                f"  {entry['unit']:22} {outage['seconds']:4} s {outage['of']:5} printed {outage['metres']:6.4g} m, predicted {found[0]:6.3g} "
+                f"({found[1]:.3g} to {found[2]:.3g}){'' if held else '  OUTSIDE'}"
+            )
+    row(
+        "30 printed figures of 8 units",
+        count >= 30,
+        f"{count} of {len({e['unit'].split(' (')[0] for e in entries})} units",
+    )
+    row("within a factor of 1.5 in 80 %", near >= 0.8 * count, f"{near} of {count}")
+    row("intervals hold in 90 %", inside >= 0.9 * count, f"{inside} of {count}")
+
+
 def times() -> None:
     """CPU seconds of a query in this process, kernels compiled: on a new track, on one seen before, and of one point more."""
     asked, path = ["planimetric < 10 m at 95 % after 30 s"], Path(tempfile.gettempdir()) / "time.yaml"
@@ -100,10 +143,13 @@ def main() -> None:
     parser.add_argument("--triples", type=int, default=0)
     parser.add_argument("--realizations", type=int, default=100)
     parser.add_argument("--only", type=int, nargs="*", default=[], help="numbers of the triples that are flown")
+    parser.add_argument("--printed", action="store_true")
     parser.add_argument("--times", action="store_true")
     given = parser.parse_args()
     if given.triples:
         triples(given.triples, given.realizations, set(given.only))
+    if given.printed:
+        printed()
     if given.times:
         times()
 

@@ -1,6 +1,7 @@
 """Requirements turned round: which sensor keeps an error after an outage, from the covariance of its own matched filter."""
 
 from insemu.require.answer import (
+    DOUBTFUL,
     PLANES,
     Alternative,
     Answer,
@@ -8,6 +9,7 @@ from insemu.require.answer import (
     Question,
     Verdict,
     figures_text,
+    flights,
     require,
     scenario_of,
     wish_of,
