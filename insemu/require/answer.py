@@ -385,7 +385,7 @@ def wish_of(track: str = "", vehicle: str = "car", fixes: str = "") -> Wish:
 
 def _verdicts(question: Question, sensors: Sequence[Sensor]) -> tuple[list[Verdict], Array]:
     """One verdict per sensor: errors go with each figure as a power between its value and half of it."""
-    halves = [(i, f) for i, s in enumerate(sensors) for f in np.flatnonzero(s.values)]
+    halves = [(i, f) for i, s in enumerate(sensors) for f in np.flatnonzero(s.values).tolist()]
     errors, C, attitude = question.errors([*sensors, *(sensors[i].times_factor(f, 0.5) for i, f in halves)])
     power = np.zeros((len(question.requirements), len(sensors), len(FIGURES)))
     halved = np.full((len(sensors), len(FIGURES)), -np.inf)
@@ -423,7 +423,8 @@ def flights(question: Question, sensor: Sensor, realizations: int, seed: int = S
     scenario = validated(Scenario, yamlfile.parse(scenario_of(question, sensor), str(question.file)))
     scenario = scenario.model_copy(update={"designs": {"complete": scenario.designs["complete"]}, "seed": seed})
     results = run_experiment(Experiment(scenario, question.file), realizations=realizations)
-    return np.asarray(results.total.runs["end_error"])[0]
+    errors: Array = np.asarray(results.total.runs["end_error"])[0]
+    return errors
 
 
 def _flown(question: Question, verdict: Verdict, realizations: int) -> Verdict:
@@ -559,7 +560,7 @@ def _road(file: str | Path) -> dict[str, tuple[float, float]]:
         raise InputError(
             f"holds no factors ({error}), expected what 'insemu transfer --json' prints", where=str(file)
         ) from None
-    out = {}
+    out: dict[str, tuple[float, float]] = {}
     for name, factor in known.items():
         triad, _, level = name.partition(" ")
         out |= {f"{triad} {kind}": factor for kind in ROAD.get(level, ()) if f"{triad} {kind}" in FIGURES}

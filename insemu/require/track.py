@@ -7,6 +7,7 @@ import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,8 @@ Ints = NDArray[np.int64]
 STARTS, SETTLING, LONGEST = 6, 120.0, 900.0
 #: Below this speed a vehicle stands, m/s; a filter that knows it takes its velocity for zero to so much, m/s.
 STANDS, STANDSTILL = 0.05, 0.01
+#: Answers of earlier calls that are kept, files.
+MOST_KEPT = 200
 #: Rate of the aids, Hz.
 AID_RATE = 1.0
 
@@ -200,8 +203,8 @@ class Track:
                 P[range(9), range(9)] = self.start[:, None] ** 2
                 P[range(9, 9 + m), range(9, 9 + m)] = states.P0[:, lanes]
                 q[:], white[:] = states.q[:, lanes], states.white[:, lanes]
-                side = [lanes_of(a) for a in (q, white, P)]
-                outages(self.F, E, D, N, C, R, H, var, *side, starts, ends, lanes_of(out), lanes_of(most))
+                driven = lanes_of(q), lanes_of(white), lanes_of(P)
+                outages(self.F, E, D, N, C, R, H, var, *driven, starts, ends, lanes_of(out), lanes_of(most))
                 found[np.array(some)[:, None], order] = out.transpose(4, 1, 0, 2, 3)[: len(some)]
                 attitude[some] = np.sqrt(most[0, : len(some)])
         return found, attitude
@@ -223,13 +226,14 @@ def kept(name: str, parts: Sequence[object], make: Callable[[], dict[str, Array]
     try:
         with np.load(file, allow_pickle=False) as found:
             return {label: found[label] for label in found.files}
-    except (OSError, ValueError):
+    except (OSError, ValueError, BadZipFile):
         arrays = make()
     buffer = io.BytesIO()
-    np.savez(buffer, **arrays)
+    np.savez(buffer, allow_pickle=False, **arrays)
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
         put(file, buffer.getvalue())
+        for old in sorted(file.parent.glob("*.npz"), key=lambda path: path.stat().st_mtime)[:-MOST_KEPT]:
+            old.unlink(missing_ok=True)
     except OSError:
         pass  # where nothing can be kept it is made again
     return arrays
@@ -258,7 +262,7 @@ def prepared(scenario: Scenario, file: str | Path | None, inputs: Mapping[str, P
     key = hashlib.sha256(repr((contents, *parts)).encode()).hexdigest()
     clear = scenario.model_copy(update={"gnss": gnss.model_copy(update={"outages": ()})})
     held = kept("track", [key], lambda: {name: np.asarray(v) for name, v in vars(Track.of(clear, file)).items()})
-    return Track(**{name: float(v) if name == "dt" else v for name, v in held.items()}), key
+    return Track(**held | {"dt": float(held["dt"])}), key  # type: ignore[arg-type]
 
 
 def aids_of(text: str) -> dict[str, AidUse | None]:
