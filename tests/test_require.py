@@ -25,9 +25,11 @@ from insemu.require import (
     Track,
     aids_of,
     completed,
+    flights,
     quantile,
     require,
     scenario_of,
+    track,
     wish_of,
 )
 from insemu.scenario import Scenario, Wish, first_scenario, validated
@@ -240,6 +242,40 @@ def test_all_and_none_are_said_with_what_would_change_it(question: Question) -> 
     best = min(question.errors(completed([Sensor.of_card(card(n)) for n in names()]))[0][0])
     few = require([f"planimetric < {math.sqrt(perfect * best)} m after 20 s"], WISH, question.file)
     assert few.text.startswith("No card meets") and "would" in few.text
+
+
+def test_a_doubtful_card_is_flown_where_asked(question: Question) -> None:
+    """Its turn-on bias turns it by 20 deg before the first fix, after which the filter is lost."""
+    from insemu.require.answer import _flown, _verdicts
+
+    (verdict,), _ = _verdicts(question, [Sensor.of_card(card("MPU-6000"))])
+    assert verdict.word == "doubtful" and "deg only" in verdict.doubt
+    flown = _flown(question, verdict, 4)
+    sizes = np.linalg.norm(flights(question, verdict.sensor, 4)[..., :2], axis=-1)
+    assert flown.errors == pytest.approx((np.quantile(sizes, 0.95),)) and flown.errors[0] > 10 * verdict.errors[0]
+    assert flown.word == "misses" and flown.flown == 4
+    (sound,), _ = _verdicts(question, [Sensor.of_card(card("STIM300"))])
+    assert not sound.doubt
+
+
+def test_what_was_computed_is_kept_unless_it_is_damaged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(track, "own_folder", lambda: tmp_path)
+    monkeypatch.setattr(track, "MOST_KEPT", 2)
+    made = []
+
+    def make() -> dict[str, np.ndarray]:
+        made.append(1)
+        return {"x": np.arange(3.0)}
+
+    for _ in range(2):
+        np.testing.assert_array_equal(track.kept("one", [1], make)["x"], np.arange(3.0))
+    assert len(made) == 1
+    next(tmp_path.rglob("*.npz")).write_bytes(b"PK damaged")
+    track.kept("one", [1], make)
+    assert len(made) == 2
+    for k in range(4):
+        track.kept("other", [k], make)
+    assert len(list(tmp_path.rglob("*.npz"))) == 2
 
 
 def test_factors_between_bench_and_vehicle_are_put_on_all_cards(question: Question, tmp_path: Path) -> None:

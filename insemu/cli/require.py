@@ -61,12 +61,14 @@ def command(
         return
     console = Console()
     console.print(found.text, style="bold", soft_wrap=True, highlight=False, markup=False)
-    print_table(console, "Cards", *require_rows(found), left=2, fit=True)
+    print_table(console, "Cards", *require_rows(found), left=2, gap=lambda row: False)
     print_items(console, require_notes(found))
-    print_table(console, "Figures that just keep it", *frontier_rows(found), left=3)
+    print_table(console, "Figures that just keep it", *frontier_rows(found), left=3, gap=lambda row: False)
     if len(found.alternatives) > 1:
-        print_table(console, "Aids", *aid_rows(found), left=1, fit=True)
-    print_table(console, f"Along the track, {found.chosen.sensor.name}", *place_rows(found), left=0)
+        print_table(console, "Aids", *aid_rows(found), left=1, fit=True, gap=lambda row: False)
+    print_table(
+        console, f"Along the track, {found.chosen.sensor.name}", *place_rows(found), left=0, gap=lambda row: False
+    )
     console.print(
         f"\nPage: {page} (require.json beside it). Now: insemu run {scenario}", soft_wrap=True, highlight=False
     )

@@ -10,11 +10,15 @@ import numpy as np
 from insemu.report import page
 from insemu.report.charts import GREY, RED, Chart, Line, View
 from insemu.report.style import COLOURS
-from insemu.require import FIGURES, UNITS, Answer, figures_text
+from insemu.require import FIGURES, UNITS, Answer, Requirement, figures_text
 from insemu.units import datasheet
 
 Cells = tuple[list[str], list[list[str]]]
-_TONES = {"meets": "good", "may meet": "warn", "misses": "bad"}
+_TONES = {"meets": "good", "may meet": "warn", "misses": "bad", "doubtful": "plain"}
+
+
+def _short(r: Requirement) -> str:
+    return f"{r.quantity} {r.seconds:g} s"
 
 
 def require_rows(found: Answer) -> Cells:
@@ -23,7 +27,7 @@ def require_rows(found: Answer) -> Cells:
         "card",
         "verdict",
         "units",
-        *(r.text for r in found.requirements),
+        *map(_short, found.requirements),
         "margin",
         "limited by",
         "margin if halved",
@@ -64,7 +68,7 @@ def place_rows(found: Answer) -> Cells:
         ]
         for p in found.places
     ]  # fmt: skip
-    return ["outage at s", "speed m/s", "turned deg", "at rest", *(r.text for r in found.requirements)], rows
+    return ["outage at s", "speed m/s", "turned deg", "at rest", *map(_short, found.requirements)], rows
 
 
 def require_notes(found: Answer) -> list[str]:
@@ -104,7 +108,7 @@ def _plane(found: Answer, pair: tuple[str, str]) -> View:
     for k, word in enumerate(_TONES):
         at = [v.sensor for v in found.verdicts if v.word == word]
         points = np.array([[s.values[FIGURES.index(name)] for name in pair] for s in at]).reshape(-1, 2) * scale
-        colour = (COLOURS[2], COLOURS[1], GREY)[k]
+        colour = (COLOURS[2], COLOURS[1], GREY, GREY)[k]
         lines.append(
             Line(word, points[:, 1], colour, points=True, width=7.0, x=points[:, 0], text=[s.name for s in at])
         )

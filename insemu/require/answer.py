@@ -35,9 +35,10 @@ UNITS_DRAWN, SEED = 4000, 1
 DOUBTFUL = math.radians(10.0)
 #: Values that are tried of a figure: from this share of the smallest of all cards to this multiple of the largest, in so many steps.
 GRID_FROM, GRID_TO, GRID = 0.1, 10.0, 10
-#: Frontier of two figures at a time, so many values of each.
+#: Frontier of two figures at a time, so many points of each, evenly along the quarter of an ellipse that it would be if variances added up.
 PLANES = (("gyro in-run bias", "accel in-run bias"), ("gyro white noise", "accel white noise"))
 PLANE = 8
+_ANGLES = np.linspace(0.05, 0.49 * math.pi, PLANE)
 #: Where a figure is printed by no card: values of good and of bad sensors, SI.
 UNPRINTED = {
     "gyro walk": (1e-9, 1e-5),
@@ -87,7 +88,9 @@ class Verdict:
 
     @property
     def word(self) -> str:
-        """Meets, may meet or misses."""
+        """Meets, may meet or misses; doubtful where the linear answer is and no flight stands for it."""
+        if self.doubt and not self.flown:
+            return "doubtful"
         return "meets" if self.probability >= SURE else "misses" if self.probability <= 1.0 - SURE else "may meet"
 
 
@@ -180,16 +183,18 @@ class Answer:
     @property
     def chosen(self) -> Verdict:
         """The sensor that is flown: one's own, else the least of those that meet the requirements, else that of the largest margin."""
-        meeting = [v for v in self.verdicts if v.word == "meets"]
-        return self[self.have] if self.have else min(meeting, key=lambda v: v.margin) if meeting else self.verdicts[0]
+        decided = [v for v in self.verdicts if v.word != "doubtful"] or self.verdicts
+        meeting = [v for v in decided if v.word == "meets"]
+        return self[self.have] if self.have else min(meeting, key=lambda v: v.margin) if meeting else decided[0]
 
     @property
     def text(self) -> str:
         """The one sentence."""
         asked_for = " and ".join(r.text for r in self.requirements)
-        meeting = [v for v in self.verdicts if v.word == "meets"]
+        decided = [v for v in self.verdicts if v.word != "doubtful"] or self.verdicts
+        meeting = [v for v in decided if v.word == "meets"]
         if not meeting:
-            best = self.verdicts[0]
+            best = decided[0]
             what = f"the best, {best.sensor.name}, errs {1.0 / best.margin:.3g} times as much as allowed"
             aided = next((a for a in self.alternatives[1:] if a.meeting), None)
             change = (
@@ -199,7 +204,7 @@ class Answer:
             )  # fmt: skip
             return f"No card meets {asked_for}: {what}; {change}."
         least = min(meeting, key=lambda v: v.margin)
-        if len(meeting) == len(self.verdicts):
+        if len(meeting) == len(decided):
             longer = min(self.requirements, key=lambda r: r.seconds)
             return (
                 f"Every card meets {asked_for}, {least.sensor.name} with the least margin ({least.margin:.3g}): a limit {least.margin:.3g} times "
@@ -486,11 +491,14 @@ def _frontier(
     planes = {}
     for pair in PLANES:
         i, j = (FIGURES.index(name) for name in pair)
-        x, y = grid(i, PLANE), grid(j, PLANE)
-        tried = question.ratios([with_values((i, a), (j, b), of=share * finite) for a in x for b in y]).reshape(
-            PLANE, PLANE
-        )
-        curve = np.array([[a, _crossing(y, row)] for a, row in zip(x, tried, strict=True)])
+        ends = []  # of the frontier on both axes, the other figure zero
+        for f, other in ((i, j), (j, i)):
+            ratio = question.ratios([with_values((f, v), (other, 0.0), of=share * finite) for v in grids[f]])
+            ends.append(min(_crossing(grids[f], ratio), float(grids[f][-1])))
+        x, y = ends[0] * np.sin(_ANGLES), ends[1] * np.append(0.5 * np.cos(_ANGLES[-1]), np.cos(_ANGLES)[::-1])
+        y = np.append(y, 1.5 * ends[1])
+        tried = question.ratios([with_values((i, a), (j, b), of=share * finite) for a in x for b in y])
+        curve = np.array([[a, _crossing(y, row)] for a, row in zip(x, tried.reshape(x.size, y.size), strict=True)])
         planes[pair] = curve[np.isfinite(curve[:, 1]) & (curve[:, 1] > 0.0)]
     return dict(zip(FIGURES, alone.tolist(), strict=True)), dict(zip(FIGURES, just.tolist(), strict=True)), planes
 
