@@ -13,9 +13,12 @@ import insemu
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parent))
+from architecture_drawing import write_drawing
 from gallery_pages import write_gallery
 from pictures import write_pictures
 from reference_pages import write_reference
+
+from tests.claims import claims, notes
 
 project = "insemu"
 author = copyright = "The insemu founders"
@@ -46,11 +49,31 @@ def check_offline(app: Sphinx, error: Exception | None) -> None:
         raise ExtensionError(f"pages that load from another host: {', '.join(odd)}")
 
 
+COVERED, _ = claims()
+
+
+def add_evidence(app: Sphinx, name: str, source: list[str]) -> None:
+    """Say at the end of every section what its figures rest on, from ``docs/claims.yaml``."""
+    held = notes(f"{name}.md", COVERED)
+    up = "../" * name.count("/")
+    for head, text in held.items():
+        begin = re.search(rf"^#+ {re.escape(head)} *$", source[0], re.M)
+        if begin is not None:
+            rest = source[0][begin.end() :]
+            code = [m.span() for m in re.finditer(r"^```.*?^```", rest, re.M | re.S)]
+            ends = (m.start() for m in re.finditer(r"^#+ ", rest, re.M))
+            end = next((e for e in ends if not any(a <= e < b for a, b in code)), len(rest))
+            note = f"\n\n*[Evidence]({up}reference/evidence.md): {text}.*\n\n"
+            source[0] = source[0][: begin.end()] + rest[:end].rstrip() + note + rest[end:]
+
+
 def setup(app: Sphinx) -> None:
     """Sphinx calls this."""
+    app.connect("source-read", add_evidence)
     app.connect("build-finished", check_offline)
 
 
 write_reference(Path(__file__).parent / "reference")
 write_pictures(Path(__file__).parent / "reference" / "pictures")
 write_gallery(Path(__file__).parent / "reference")
+write_drawing(Path(__file__).parent / "reference" / "pictures")

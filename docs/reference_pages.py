@@ -210,17 +210,29 @@ def scenario() -> list[str]:
     return lines
 
 
+def standards() -> dict[str, str]:
+    """Term and clause of every effect that the page of standards lists."""
+    page = (Path(__file__).parent / "standards.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| (.+?) \| (.+?) \|$", page, re.M)
+    return {name: f"{term} ({clause})" for name, term, clause in rows}
+
+
 def effects() -> list[str]:
-    """The table of effects."""
+    """The list of effects: one table of all, then each by itself."""
     from insemu.effects import EFFECTS
 
     lines = [
         "# Effects",
         "",
-        "What can be wrong with a sensor, a clock, a receiver or the model. `{s}` stands for the unit of the sensor's signal.",
+        "Errors of sensors, clocks, receivers, aids and the model. `{s}` is the unit of the sensor's signal.",
+        "",
+        "| effect | sensor | formula |",
+        "| --- | --- | --- |",
+        *(f"| [`{e.id}`](#{e.id}) | {', '.join(e.sensors)} | {_cell(e.formula)} |" for e in EFFECTS.values()),
         "",
     ]
-    for effect in EFFECTS.values() if isinstance(EFFECTS, dict) else EFFECTS:
+    clauses = standards()
+    for effect in EFFECTS.values():
         lines += [
             f"## {effect.id}",
             "",
@@ -228,6 +240,7 @@ def effects() -> list[str]:
             "",
         ]
         lines += [f"`{effect.formula}`", "", f"Shown by: {effect.excitation}. In a filter: {effect.in_filter}.", ""]
+        lines += [f"[Standard](../standards.md): {clauses[effect.id]}.", ""] if effect.id in clauses else []
         if effect.parameters:
             lines += ["| parameter | unit | numbers | default | meaning |", "| --- | --- | --- | --- | --- |"]
             for p in effect.parameters:

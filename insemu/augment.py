@@ -105,7 +105,7 @@ class StateLayout:
 
 @dataclass(frozen=True)
 class Extras:
-    """States beside the noise of the axes, each a random constant given by its initial standard deviation; 0 leaves it out.
+    """States together with the noise of the axes, each a random constant given by its initial standard deviation; 0 leaves it out.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ class Augmentation:
     def sensed(self, imu: ImuRecord) -> tuple[Array, Array]:
         """Gyroscopes and accelerometers as compiled loops take them: (n, 3) and (n, 3), or (n, 9) where states follow the temperature.
 
-        Behind the forces then stand rates and forces times the temperature above the reference: beside each other the two have the columns
+        Behind the forces then stand rates and forces times the temperature above the reference: side by side the two have the columns
         that :attr:`driver` counts.
 
         Raises

@@ -1,4 +1,4 @@
-"""BLAS on one thread: work items run beside each other here, and matrices are small.
+"""BLAS on one thread: work items run side by side here, and matrices are small.
 
 A second BLAS thread that waits by spinning takes a core from the next item and can make an optimiser's step of microseconds last milliseconds.
 """

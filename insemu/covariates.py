@@ -157,7 +157,7 @@ def regressors_of(text: str, there: Mapping[str, Array], n: int, dt: float, wher
     ----------
     text : str
     there : mapping of str to (n,) array
-        What can be named, beside ``time``.
+        What can be named, together with ``time``.
     n : int
         Samples.
     dt : float

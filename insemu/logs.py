@@ -60,7 +60,7 @@ _TEMPERATURE = ("temperature", "temp", "temp_c", "temperature_degc", "t_imu")
 def open_with_covariates(
     file: str | Path, rate_hz: float | None = None, skip_s: float = 0.0
 ) -> tuple[list[Series], dict[str, Array]]:
-    """The axes of a log, or of the IMU of a drive, and the covariates beside them.
+    """The axes of a log, or of the IMU of a drive, and the covariates next to them.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ FEWEST = 6
 #: White noise that keeps the equations solvable, of the variance that the parabola leaves: motion is some thousand times the noise.
 RIDGE = 1e-6
 #: Fewest repeated samples that are called lost, how many times what chance repeats there must be, and the largest share of lost samples: with more
-#: there is too little beside a gap to fill it by. Those of a log at rest and of a drive.
+#: there is too little next to a gap to fill it by. Those of a log at rest and of a drive.
 FEWEST_REPEATS, ABOVE_CHANCE, MOST_LOST = 3, 10.0, 0.1
 #: Share of the sampling interval that a stamp may stray before it says nothing of lost samples, and the longest gap that is filled, s.
 STRAY, LONGEST_S = 0.25, 0.5
@@ -219,7 +219,7 @@ def filled(values: Array, missing: NDArray[np.bool_], width: float, rng: np.rand
     """Signals with their lost samples drawn from what the ones around them leave open, or with the mean of that.
 
     A parabola through the neighbours follows what is slow; the autocovariance of what it leaves decides how far a lost sample follows those
-    beside it and how much it is drawn. Interpolated samples would be too smooth: the noise of a log that lost many would look coloured, and that
+    next to it and how much it is drawn. Interpolated samples would be too smooth: the noise of a log that lost many would look coloured, and that
     of a drive too small. What integrates the samples errs least by their mean.
 
     Parameters
@@ -247,7 +247,7 @@ def filled(values: Array, missing: NDArray[np.bool_], width: float, rng: np.rand
 
 
 def missed(whole: Array, missing: NDArray[np.bool_], width: float) -> Array:
-    """By how much sums over gaps filled with the mean are wrong, by gaps of the same length beside them where nothing was lost.
+    """By how much sums over gaps filled with the mean are wrong, by gaps of the same length next to them where nothing was lost.
 
     Parameters
     ----------
@@ -261,7 +261,7 @@ def missed(whole: Array, missing: NDArray[np.bool_], width: float) -> Array:
     Returns
     -------
     (g, k) array
-        Standard deviation of the sum over each gap, unit of the signals; a gap's own trials count beside the mean of those of its length, as one
+        Standard deviation of the sum over each gap, unit of the signals; a gap's own trials count with the mean of those of its length, as one
         more. Zero where no gap of that length fits in anywhere.
     """
     first, last = runs(missing)
@@ -292,7 +292,7 @@ def runs(inside: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64
 
 
 def _draw(x: Array, slow: Array, missing: NDArray[np.bool_], rng: np.random.Generator | None) -> None:
-    """Draw the lost samples of one signal in place beside its slow part, and once more by the autocovariance of the whole signal."""
+    """Draw the lost samples of one signal in place around its slow part, and once more by the autocovariance of the whole signal."""
     counted = ~missing
     for _ in range(2):
         fast = np.where(counted, x - slow, 0.0)

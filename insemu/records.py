@@ -487,7 +487,7 @@ class Preparation:
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.imu_late):
-            raise InputError(f"{self.imu_late} s were taken off the stamps of the IMU, expected a finite number")
+            raise InputError(f"{self.imu_late} s were subtracted from the stamps of the IMU, expected a finite number")
 
 
 @dataclass(frozen=True)

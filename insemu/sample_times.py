@@ -161,7 +161,7 @@ def _stray(spans: Array, resolution: float) -> float:
 
 
 def _by_steps(spans: Array, stray: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Samples of every step by its own length and those beside it, and which rows (n,) came late in one go."""
+    """Samples of every step by its own length and those next to it, and which rows (n,) came late in one go."""
     clear = stray < _CLEAR
     count = np.maximum(np.rint(spans), 1.0) if clear else np.ones(spans.size)
     late = np.zeros(spans.size + 1, dtype=np.bool_)
@@ -208,7 +208,7 @@ def _by_levels(t: Array, count: Array, late: NDArray[np.bool_], stray: float) ->
                 continue
             last = k
             more, near = np.sign(jump[k]) * max(round(size[k]), 1), slice(max(k - wide // 2, 0), k + wide // 2 + 1)
-            # the longest step near the top of the jump; what is too many is taken off the largest count
+            # the longest step near the top of the jump; what is too many is subtracted from the largest count
             at = near.start + int(np.argmax(steps[near] if more > 0.0 else count[near]))
             new = max(count[at] + more, 1.0)
             changed |= bool(new != count[at])
@@ -575,7 +575,7 @@ def continuous(t: Array, unit_s: float = 1.0) -> tuple[Array, tuple[str, ...]]:
     if alone.size:
         t = t.copy()
         t[alone] = middle[alone - 1]
-        said.append(f"{alone.size} stamp(s) lie far from those beside them: they are put between them")
+        said.append(f"{alone.size} stamp(s) lie far from those next to them: they are put between them")
         step = np.diff(t)
     ahead = scipy.ndimage.maximum_filter1d(t, LATE_ROWS, origin=-(LATE_ROWS // 2), mode="nearest")[1:]
     highest = scipy.ndimage.maximum_filter1d(t, LATE_ROWS, origin=(LATE_ROWS - 1) // 2, mode="nearest")[:-1]

@@ -16,7 +16,7 @@ DEEPEST = 3
 
 @contextmanager
 def replacing(path: Path | str) -> Iterator[Path]:
-    """A path beside ``path`` to write to; it takes the place of ``path`` at the end, or is gone where anything went wrong.
+    """A path next to ``path`` to write to; it takes the place of ``path`` at the end, or is gone where anything went wrong.
 
     The folder of ``path`` is made where it does not exist, and is gone, too, where nothing was written into it.
     """
@@ -41,7 +41,7 @@ def replacing(path: Path | str) -> Iterator[Path]:
 
 @contextmanager
 def replacing_folder(folder: Path | str, mark: str, old: Iterable[str] = ()) -> Iterator[Path]:
-    """An empty folder beside ``folder`` to write files to; they come into ``folder`` at the end, or are gone where anything went wrong.
+    """An empty folder next to ``folder`` to write files to; they come into ``folder`` at the end, or are gone where anything went wrong.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def replacing_folder(folder: Path | str, mark: str, old: Iterable[str] = ()) -> 
     mark : str
         The file without which readers do not take the folder for a whole one: it goes first and comes last.
     old : iterable of str
-        Patterns of the names that go: what an earlier writer left would be read beside the new files.
+        Patterns of the names that go: what an earlier writer left would be read together with the new files.
 
     Raises
     ------

@@ -121,7 +121,7 @@ def run_items(
 
 
 def meanwhile(pool: Executor | None, work: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> Callable[[], R]:
-    """Begin work beside this process, and return what waits for its result; without a pool it is done here once that is asked for.
+    """Begin work together with this process, and return what waits for its result; without a pool it is done here once that is asked for.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Tables of emulated experiments held against the exact covariance of the linear error equations, in which nothing is drawn.
 
-``python -m tests.analytic SCENARIO...`` takes the tables of ``docs/experiments.md`` that ``insemu run`` printed (means over N realizations:
+``python -m tests.analytic SCENARIO...`` takes the tables of ``docs/experiments*.md`` that ``insemu run`` printed (means over N realizations:
 horizontal error at the end of an outage or during it, largest error, what the filter states, share inside 3 sigma, NEES) and the same figures from
 ``insemu.evaluate.analyse_designs``: means of Gaussian errors of that covariance, by quadrature. A cell agrees within 4 standard deviations of a mean
 over N, taken as if one realization had one independent value, plus 5 % for what is not linear and for the mean that the emulator removes from a
@@ -91,7 +91,7 @@ def expected(a: CovarianceAnalysis, start: float, duration: float) -> dict[str, 
 
 def blocks(head: str) -> Iterator[list[str]]:
     """The printed tables of a section, each as its lines."""
-    text = (ROOT / "docs" / "experiments.md").read_text(encoding="utf-8")
+    text = "\n".join(p.read_text(encoding="utf-8") for p in (ROOT / "docs").glob("experiments*.md"))
     section = text.split(f"## {head}\n", 1)[1].split("\n## ")[0]
     for block in re.findall(r"^```\n(.*?)^```", section, re.M | re.S):
         yield [line for line in block.splitlines() if line.strip()]

@@ -306,6 +306,29 @@ def run(which: str, covered: Sequence[Claim]) -> int:
     return wrong
 
 
+def notes(page: str, covered: Sequence[Claim], most: int = 10) -> dict[str, str]:
+    """By heading of a page, what the figures of its section rest on; up to ``most`` figures of a class one by one."""
+    found: dict[str, dict[str, list[str]]] = {}
+    for claim in covered:
+        if claim.figure.page == page and claim.evidence != "setting":
+            text = f"{claim.figure.text} {claim.figure.unit}".strip()
+            found.setdefault(claim.figure.head, {}).setdefault(claim.evidence, []).append(text)
+    out = {}
+    for head, classes in found.items():
+        parts = []
+        for kind, texts in sorted(classes.items(), key=lambda item: -len(item[1])):
+            shown = (
+                "all figures"
+                if len(classes) == 1
+                else ", ".join(texts)
+                if len(texts) <= most
+                else f"{len(texts)} figures"
+            )
+            parts.append(f"{kind} ({shown})")
+        out[head] = "; ".join(parts)
+    return out
+
+
 def said(covered: Sequence[Claim]) -> list[str]:
     """The shares in words, one class a line."""
     count = shares(covered)

@@ -195,7 +195,7 @@ def test_gaps_of_a_log_are_put_where_they_are() -> None:
     longer = Log("x", ("gx",), ("",), ("",), (np.arange(3.0),), 10.0, np.array([0.0, 0.1, 1.5]))
     with pytest.raises(
         InputError,
-        match=r"13 samples are missing beside the 3 that are there, the longest gap 1\.4 s before data row 2",
+        match=r"13 samples are missing in addition to the 3 that are there, the longest gap 1\.4 s before data row 2",
     ):
         longer.evenly(0)
     assert [c.tolist() for c in log.chunks(0, 3, first=1)] == [[1, 2, 3], [4, 5, 6], [7]]
@@ -379,7 +379,7 @@ def test_a_folder_of_csv(tmp_path: Path) -> None:
     assert found.gnss.vel_std_ned is not None and found.gnss.vel_std_ned[0].tolist() == [1, 2, 3]
     np.testing.assert_allclose(found.reference.rpy[0], [10 * DEG, 20 * DEG, 0.5])
     for name, text, said in (
-        ("imu.csv", "t,gx,gy,gz,ax,ay\n0,1,2,3,4,5\n1,1,2,3,4,5\n", "has no column 'az' beside gx, gy, gz, ax, ay"),
+        ("imu.csv", "t,gx,gy,gz,ax,ay\n0,1,2,3,4,5\n1,1,2,3,4,5\n", "has no column 'az' next to gx, gy, gz, ax, ay"),
         ("imu.csv", "t,gx,gx\n0,1,2\n1,1,2\n", "column 'gx' appears more than once"),
         ("gnss.csv", "t,lat,lon [m],h\n0,1,2,3\n", "lon: has the unit 'm', expected one like 'deg'"),
         (
@@ -506,12 +506,12 @@ def test_units_at_the_end_of_names(tmp_path: Path) -> None:
         ("gps", "", [5.0], 0.0, [5.0], ""),
         ("sow", "sow", [10.0], WEEK + 20.0, [WEEK + 10.0], "1 GPS week(s) added: the week ended in between"),
         ("sow", "sow", [10.0], 20.0, [10.0], ""),
-        ("gps", "sow", [2299 * WEEK + 7.0], 9.0, [7.0], "GPS week 2299 taken off"),
+        ("gps", "sow", [2299 * WEEK + 7.0], 9.0, [7.0], "GPS week 2299 removed"),
         ("sow", "gps", [7.0], 2299 * WEEK + 9.0, [2299 * WEEK + 7.0], "GPS week 2299 added"),
         ("unix", "gps", [1.7e9], 0.0, [1.7e9 - GPS_EPOCH + 18], "UTC turned into GPS time with 18 leap seconds"),
         ("gps", "unix", [1.3e9], 0.0, [1.3e9 + GPS_EPOCH - 18], "GPS time turned into UTC with 18 leap seconds"),
         ("sow", "unix", [7.0], 2299 * WEEK + GPS_EPOCH, [2299 * WEEK + GPS_EPOCH + 7.0 - 18], "GPS time turned into UTC with 18 leap seconds"),
-        ("unix", "sow", [2299 * WEEK + GPS_EPOCH], 9.0, [18.0], "UTC turned into GPS time with 18 leap seconds; GPS week 2299 taken off"),
+        ("unix", "sow", [2299 * WEEK + GPS_EPOCH], 9.0, [18.0], "UTC turned into GPS time with 18 leap seconds; GPS week 2299 removed"),
     ],
 )  # fmt: skip
 def test_clocks(given: str, wanted: str, t: list[float], near: float, out: list[float], said: str) -> None:

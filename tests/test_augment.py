@@ -144,7 +144,7 @@ def test_fits_of_several_orders_to_one_signal_are_tied_by_partial_correlations()
         k = AR(ar, sigma2=1.0).partial_correlations()
         assert k[0] == pytest.approx(1.0, abs=1e-12)  # the coefficients sum to 1 as printed
         assert sigma2 == pytest.approx(first * (1 - k[1] ** 2) * (1 - k[2] ** 2), rel=0.08)
-    # moved straight inwards the pole at 1 makes another sensor of it: docs/filters.md, "27AR as printed"
+    # moved straight inwards the pole at 1 makes another sensor of it: docs/designs.md, "27AR as printed"
     moved = AR((2.564, -2.131, 0.567), sigma2=2.739e-13, rate_hz=100.0).stabilised(0.9995).block(DT).P0[0, 0]
     first = AR1(0.999, 1.014e-10, rate_hz=100.0).block(DT).P0[0, 0]
     assert np.sqrt([moved, first]) == pytest.approx([5.33e-3, 2.27e-4], rel=0.02)

@@ -24,6 +24,7 @@ from tests.claims import (
     jobs,
     ledger,
     missing,
+    notes,
     runs,
     seed,
     shares,
@@ -120,3 +121,15 @@ def test_what_was_run_last_is_of_the_figures_that_stand_there() -> None:
     assert set(kept) <= set(found), "runs of commands that docs/claims.yaml does not name any more"
     moved = [lines for lines, last in kept.items() if last["digest"] == digest(found[lines]) and not last["agreed"]]
     assert moved == [], "figures that their command did not print when it was run last"
+
+
+def test_a_section_says_what_its_figures_rest_on() -> None:
+    covered = [
+        Claim(Figure("p.md", "A", "1.5", "m", "", -1), {}, "closed form"),
+        Claim(Figure("p.md", "A", "2", "%", "", -1), {}, "real data"),
+        Claim(Figure("p.md", "A", "3", "s", "", -1), {}, "setting"),
+        Claim(Figure("p.md", "B", "4", "", "", 0), {}, "external"),
+        Claim(Figure("q.md", "A", "5", "m", "", -1), {}, "none"),
+    ]
+    assert notes("p.md", covered) == {"A": "closed form (1.5 m); real data (2 %)", "B": "external (all figures)"}
+    assert notes("p.md", covered, most=0)["A"] == "closed form (1 figures); real data (1 figures)"

@@ -83,7 +83,7 @@ def test_innovations_are_judged_by_size_and_colour():
     coloured = y + 0.3 * np.vstack([y[:1], y[:-1]])
     verdicts = c.whiteness_test(fixes_of(coloured / np.sqrt(1.09)))
     assert verdicts[0].word == "correlated" and verdicts[0].value == pytest.approx(0.3 / 1.09, abs=0.05)
-    assert "left to be modelled" in str(verdicts[0])
+    assert "the model is incomplete" in str(verdicts[0])
 
 
 @pytest.mark.parametrize("lean", [1.0, -1.0])

@@ -3,7 +3,6 @@ wavelet variance.
 """
 
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -49,11 +48,6 @@ def test_the_catalogue_is_complete_and_its_units_parse():
             for sensor in effect.sensors:
                 units.parse_unit(effect.unit(parameter.name, sensor))
                 assert effect.scale(parameter.name, sensor) > 0
-
-
-def test_the_documentation_shows_the_table():
-    page = Path(__file__).resolve().parents[1] / "docs" / "emulation.md"
-    assert effects.markdown_table() in page.read_text(encoding="utf-8")
 
 
 def test_mappings_are_read_with_units_and_written_back():

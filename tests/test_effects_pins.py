@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from insemu import effects, rotation
+from insemu import rotation
 from insemu.denoise import outstanding
 from insemu.effects import AID_KINDS, EFFECTS, AidErrors, EffectUse, Signals, aid_age, aid_corrected
 from insemu.effects.base import Effect
@@ -214,7 +214,6 @@ CASES: dict[str, Callable[[], Any]] = {
     "lots": lambda: [
         (lot.sample, lot.slow, lot.span, lot) for lot in (RestLot.drawn(n, DT, 1e-3, 1, RNG(n)) for n in (1000, 90_000))
     ],
-    "table": lambda: effects.markdown_table(),
 }
 KEPT = kept("effects")
 

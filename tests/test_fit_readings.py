@@ -122,7 +122,7 @@ def test_given_values_are_held():
         ("WN() + DR()", "psd-slopes", "DR cannot be read off the psd curve"),
         ("WN() + GM()", "total-slopes", "GM cannot be read off the total curve"),
         ("AR(2)", "hadamard-slopes", "AR cannot be read"),
-        ("2*GM() + WN()", "psd-slopes", "cannot tell 2 GM apart"),
+        ("2*GM() + WN()", "psd-slopes", "cannot separate 2 GM"),
         ("WN() + GM(sigma=0.1)", "hadamard-slopes", "a correlation time alone is not read"),
         ("WN() + RW()", "autocorrelation", "expected GM\\(\\) or GM\\(\\) \\+ WN\\(\\)"),
         ("GM(Tc=3 s)", "autocorrelation", "gives one Gauss-Markov noise"),

@@ -410,7 +410,7 @@ def test_members_of_a_class_in_several_places_are_told_with_their_axes(tmp_path:
     )
     found = replace(strong("ramp", 50.0), effect="misalignment", sensor="gyro", axes=("x",), members=(x, z))
     said = gap_headline(replace(report(found), verdict="class"))
-    assert "of the gyroscope x or" in said and "of the gyroscope z: this recording cannot tell them apart" in said
+    assert "of the gyroscope x or" in said and "of the gyroscope z: this recording cannot distinguish them" in said
     page = render_gap(replace(report(found), verdict="class"), tmp_path).read_text(encoding="utf-8")
     assert page.count("of the gyroscope x / ") == 1
     one_place = gap_headline(replace(report(replace(found, members=(x, bias))), verdict="class"))

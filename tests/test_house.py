@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import ast
+import pkgutil
+import re
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -14,6 +17,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "insemu"
+sys.path.insert(0, str(ROOT / "docs"))
+from architecture_drawing import arrows, drawing, floors  # noqa: E402
 
 #: Longest module and longest function, in lines; functions without docstring, compiled kernels left out.
 MODULE_LINES, FUNCTION_LINES = 600, 80
@@ -129,8 +134,39 @@ def past_doors() -> set[str]:
     return found
 
 
+def stale_imports() -> set[str]:
+    """Names of the package that benchmarks, which no test runs, import and that do not exist."""
+    found = set()
+    for path in (ROOT / "benchmarks").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "insemu":
+                module = import_module(str(node.module))
+                modules = {m.name for m in pkgutil.iter_modules(getattr(module, "__path__", []))}
+                names = {a.name for a in node.names if not hasattr(module, a.name)} - modules
+                found |= {f"{path.relative_to(ROOT)}:{node.lineno} {node.module}.{name}" for name in names}
+    return found
+
+
 @pytest.mark.parametrize(
-    "check", [long_modules, long_functions, undocumented, circles, past_doors], ids=lambda check: check.__name__
+    "check",
+    [long_modules, long_functions, undocumented, circles, past_doors, stale_imports],
+    ids=lambda check: check.__name__,
 )
 def test_nothing_exceeds_a_limit(check: Callable[[], set[str]]) -> None:
     assert sorted(check()) == [], check.__doc__
+
+
+def test_every_room_has_its_paragraph_floor_by_floor() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").split("## Rooms")[1].split("\n## ")[0]
+    level = {room: k for k, floor in enumerate(floors()) for room in floor}
+    named = re.findall(r"\*\*`(\w+)`\*\*", page)
+    assert sorted(named) == sorted(level), (
+        "docs/architecture.md needs one entry **`room`** for every room of pyproject.toml"
+    )
+    assert [level[room] for room in named] == sorted(level.values()), "rooms stand in the order of the floors"
+
+
+def test_the_drawing_has_every_room_and_only_arrows_that_lead_down() -> None:
+    level = {room: k for k, floor in enumerate(floors()) for room in floor}
+    assert all(f">{room}</text>" in drawing() for room in level)
+    assert len(arrows()) > len(level) and all(level[a] < level[b] for a, b in arrows())

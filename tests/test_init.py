@@ -302,7 +302,7 @@ def test_a_truth_and_a_design_take_the_models_of_a_sensor_and_what_stands_beside
         ({"truth": {"case": "worst", "gyro": "WN(N=1)", "accel": "WN(N=1)"}}, "found 'case' without the key 'sensor'"),
         (
             {"designs": {"a": {"gyro": {"sensor": "VN-100", "fit": "WN()"}, "accel": {"truth": True}}}},
-            "gyro: found 'fit' beside 'sensor'",
+            "gyro: found 'fit' together with 'sensor'",
         ),
     ],
 )

@@ -112,9 +112,9 @@ def test_the_mending_command_mends(spoil, tmp_path: Path, capsys: pytest.Capture
     card = examine(open_files(path))
     mends = [m for line in (*card.of("wrong"), *card.of("odd")) for m in _MEND.findall(line.mend)]
     assert mends
-    code = run("open", path, "--map", ", ".join(dict.fromkeys(mends)), "--output", tmp_path / "mended.npz")
+    code = run("open", path, "--map", ", ".join(dict.fromkeys(mends)), "--output", tmp_path / "corrected.npz")
     assert code == 0, capsys.readouterr()
-    back = formats.read_recording(tmp_path / "mended.npz")
+    back = formats.read_recording(tmp_path / "corrected.npz")
     want = flown()
     assert want.imu is not None and want.gnss is not None
     np.testing.assert_allclose(back.imu.gyro, want.imu.gyro, rtol=1e-9, atol=1e-12)

@@ -89,7 +89,7 @@ def test_what_was_taken_and_assumed_is_said(tmp_path: Path) -> None:
     found = imu(tmp_path, "time=a, gyro=b -c d, accel=e f g[g], temperature=h, axes=FLU, mount=0 0 90")
     assert found.taken == (
         "gyro from b -c d of x.csv", "accel from e f g (g) of x.csv", "temperature from h (plain) of x.csv",
-        "axes turned into forward-right-down (axes=FLU, mount=0 0 90)",
+        "nothing from i of x.csv", "axes turned into forward-right-down (axes=FLU, mount=0 0 90)",
     )  # fmt: skip
     assert found.assumed == ("gyro in rad/s: x.csv states no unit",)
     assert found.imu is not None
@@ -106,6 +106,21 @@ def test_what_was_taken_and_assumed_is_said(tmp_path: Path) -> None:
     raw = open_files(path).imu
     assert raw is not None
     np.testing.assert_array_equal(np.hstack([raw.gyro, raw.accel]), [[1, 2, 3, 4, 5, 6]] * 3)
+
+
+@pytest.mark.parametrize(
+    ("line", "gyro", "accel"), [("gyro_shift=-1.5 s", 1.5, 0.0), ("gyro_shift=0.5 s, accel_shift=2 s", -0.5, -2.0)]
+)
+def test_a_sensor_that_is_late_is_moved(tmp_path: Path, line: str, gyro: float, accel: float) -> None:
+    """Columns that grow by 1 a second are larger by what their stamps are earlier; rows that a sensor does not reach go."""
+    found = open_files(table(tmp_path, rows=9), maps=(f"{PLAIN}, {line}", "", ""))
+    assert found.imu is not None
+    t = stamps(found)
+    np.testing.assert_array_equal(t, np.arange(1.0, 8.0) if gyro > 0.0 else np.arange(3.0, 10.0))
+    np.testing.assert_allclose(found.imu.gyro[:, 0], t + 1.0 + gyro, rtol=1e-13)
+    np.testing.assert_allclose(found.imu.accel[:, 0], t + 4.0 + accel, rtol=1e-13)
+    with pytest.raises(InputError, match=r"moves a sensor by 7\.5 s, more than the record of 8 s holds"):
+        open_files(table(tmp_path, rows=9), maps=(f"{PLAIN}, accel_shift=7.5 s", "", ""))
 
 
 def test_a_temperature_with_a_hole_is_no_temperature(tmp_path: Path) -> None:
@@ -182,6 +197,8 @@ def test_fixes(tmp_path: Path, line: str, field: str, wanted: Any) -> None:
         ("lat=la, lon=lo, height=h", [[46.5, 7, 8], [46.6, 7.1, 9], [46.7, 7.2, 10]]),
         ("lat=la[rad], lon=lo[rad], pos_unit=deg, height=h[km]", [[46.5, 7, 8e3], [46.6, 7.1, 9e3], [46.7, 7.2, 1e4]]),
         ("lat=lo[deg], lon=la[deg], latlon=swapped", [[46.5, 7, 0], [46.6, 7.1, 0], [46.7, 7.2, 0]]),
+        ("lat=la[deg], lon=lo[deg], latlon=west", [[46.5, -7, 0], [46.6, -7.1, 0], [46.7, -7.2, 0]]),
+        ("lat=la[deg], lon=lo[deg], latlon=south", [[-46.5, 7, 0], [-46.6, 7.1, 0], [-46.7, 7.2, 0]]),
     ],
 )
 def test_places(tmp_path: Path, line: str, wanted: Any) -> None:
@@ -393,6 +410,10 @@ def test_axes_of_all_right_handed_triples() -> None:
          "time=time, vel_ned=vn ve vd, pos_std_ned=std_n std_e std_d, vel_std_ned=std_vn std_ve std_vd, lat=lat, lon=lon, height=h"),
         ("time lat lon h sigma_n sigma_e sigma_u sigma_vn sigma_ve sigma_vu",
          "time=time, pos_std_ned=sigma_n sigma_e sigma_u, vel_std_ned=sigma_vn sigma_ve sigma_vu, lat=lat, lon=lon, height=h"),
+        ("time vel_ned_x vel_ned_y vel_ned_z vel_std_ned_0 vel_std_ned_1 vel_std_ned_2 truth_vel_ned_x truth_vel_ned_y truth_vel_ned_z",
+         "vel_ned=vel_ned_x vel_ned_y vel_ned_z, vel_std_ned=vel_std_ned_0 vel_std_ned_1 vel_std_ned_2, time=time"),
+        ("time velocity_enu_x velocity_enu_y velocity_enu_z pos_std_ned_x pos_std_ned_y pos_std_ned_z",
+         "vel_enu=velocity_enu_x velocity_enu_y velocity_enu_z, pos_std_ned=pos_std_ned_x pos_std_ned_y pos_std_ned_z, time=time"),
         ("gps_week tow lat lon", "time=tow, lat=lat, lon=lon, week=gps_week"),
         ("time_accuracy date utc", "time=utc"),
     ],
@@ -472,7 +493,7 @@ def test_a_map_line_has_one_unit_behind_all_and_keeps_quotes() -> None:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("latlon=yes", "--map: latlon: is 'yes', expected one of: swapped, west, as stated"),
+        ("latlon=yes", "--map: latlon: is 'yes', expected one of: swapped, west, south, as stated"),
         ("kind=rate", "--map: kind: is 'rate', expected one of: sample, mean, increment"),
         ("attitude=up", "--map: attitude: is 'up', expected one of: ned, enu"),
         ("velocity=und", "--map: velocity: is 'und', expected one of: ned, enu, neu"),
@@ -504,7 +525,7 @@ def test_a_preset_beside_the_file_stands_behind_what_is_said(tmp_path: Path) -> 
         assert found.imu is not None
         np.testing.assert_allclose(found.imu.gyro, GYRO * DEG)
         np.testing.assert_allclose(found.imu.accel, ACCEL[:, ::-1] * G)
-        assert found.notes == ("the column map beside x.csv was used",)
+        assert found.notes == ("the column map next to x.csv was used",)
         assert read_log(path).names == ("gx", "gy", "gz", "ax", "ay", "az")
     for bad in ("[1, 2]\n", "{}\n", "3\n"):
         (tmp_path / "x.csv.map.yaml").write_text(bad)

@@ -373,7 +373,7 @@ def test_the_list_of_pages_and_two_side_by_side_fit(browser: Any, made: Path, wi
         assert page.locator("a[href='/run/index.html']").count() >= 1
         page.goto(f"{root}/side?left=run/index.html&right=compare/index.html")
         assert page.evaluate("document.documentElement.scrollWidth") <= width
-        for frame, title in zip(page.frames[1:], ("A short flight", "Designs beside each other"), strict=True):
+        for frame, title in zip(page.frames[1:], ("A short flight", "Designs side by side"), strict=True):
             assert title in frame.locator("h1").text_content()
         assert said == []
         page.close()

@@ -80,7 +80,7 @@ def test_rtklib_in_weeks_with_velocities_and_standard_deviations(tmp_path: Path)
     assert found.taken == (
         "lat from latitude (deg) of a.pos", "lon from longitude (deg) of a.pos", "height from height (m) of a.pos",
         "pos_std_ned from sdn sde sdu (m) of a.pos", "vel_neu from vn ve vu (m/s) of a.pos",
-        "vel_std_ned from sdvn sdve sdvu (m/s) of a.pos",
+        "vel_std_ned from sdvn sdve sdvu (m/s) of a.pos", "nothing from Q, ns, sdne, sdeu, sdun, age, ratio, sdvne, sdveu, sdvun of a.pos",
     )  # fmt: skip
     assert found.assumed == found.notes == ()
 

@@ -14,7 +14,7 @@ from insemu.scenario import load, schema
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "docs"))
-from reference_pages import ROOMS, _type, examples, limits, sections  # noqa: E402
+from reference_pages import ROOMS, _type, effects, examples, limits, sections, standards  # noqa: E402
 
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
@@ -89,3 +89,11 @@ def test_the_page_of_sizes_says_what_the_code_refuses() -> None:
     parse("[" * MAX_DEPTH + "]" * MAX_DEPTH, "a.yaml")
     with pytest.raises(InputError):
         parse("[" * (MAX_DEPTH + 1) + "]" * (MAX_DEPTH + 1), "a.yaml")
+
+
+def test_clauses_of_standards_are_those_of_effects_that_exist() -> None:
+    from insemu.effects import EFFECTS
+
+    clauses, page = standards(), "\n".join(effects())
+    assert len(clauses) >= 20 and set(clauses) <= set(EFFECTS)
+    assert all(f"): {text}." in page for text in clauses.values())

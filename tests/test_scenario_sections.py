@@ -231,7 +231,7 @@ RECORDED = {"files": ["a.npz"]}
         ({"trajectory.track": "x.csv"},
          "s: trajectory: one source of motion is needed: the key 'builtin', 'waypoints', 'track' or 'motion'; found 'builtin' and 'track'"),
         ({"trajectory.kind": "sample"},
-         "s: trajectory: samples exist only on a continuous path; expected 'mode: continuous' beside 'kind: sample'"),
+         "s: trajectory: samples exist only on a continuous path; expected 'mode: continuous' together with 'kind: sample'"),
         ({"trajectory.builtin": "helicopter_maping"},
          "s: trajectory.builtin: unknown trajectory 'helicopter_maping' (did you mean 'helicopter_mapping'?)"),
         ({"published": {"source": "x"}},
@@ -457,7 +457,7 @@ def test_models_of_sensors_are_put_in() -> None:
         ({"case": "worst"}, "found 'case' without the key 'sensor' whose case it is"),
         (
             {"gyro": {"sensor": "ADIS16470", "plus": 1}},
-            "gyro: found 'plus' beside 'sensor', expected 'case' or nothing",
+            "gyro: found 'plus' together with 'sensor', expected 'case' or nothing",
         ),
         ({"sensor": 3}, r"found 3, expected the name of a sensor \(insemu sensor lists them\)"),
     ):

@@ -103,6 +103,14 @@ def late(seconds: float) -> Spoil:
     return _gnss(lambda g: replace(g, t=g.t + seconds))
 
 
+def delayed(seconds: float, sensor: str) -> Spoil:
+    def change(i: ImuRecord) -> ImuRecord:
+        values = getattr(i, sensor)
+        return replace(i, **{sensor: np.column_stack([np.interp(i.t - seconds, i.t, c) for c in values.T])})
+
+    return _imu(change)
+
+
 def moved(*ned: float) -> Spoil:
     return _gnss(lambda g: replace(g, llh=earth.move(g.llh, np.array(ned))))
 
@@ -189,7 +197,10 @@ WRONG: tuple[Wrong, ...] = (
     Wrong("velocities in knots", {}, velocities((0, 1, 2), (1, 1, 1), 3600 / 1852), "vel_unit=knots"),
     Wrong("heights above sea level", {"referenced": True}, moved(0.0, 0.0, 47.0), "gnss_move=0 0 -4"),
     Wrong("another datum", {"referenced": True, "ahead": 1.5}, moved(80.0, -120.0, 0.0), "gnss_move=-8|gnss_move=-79"),
-    Wrong("fixes late by 0.6 s", {}, late(0.6), "gnss_shift=-0."),
+    Wrong("fixes late by 0.6 s", {"which": "turbulent_uav"}, late(0.6), "gnss_shift=-0."),
+    Wrong("fixes late by 0.6 s, few turns", {}, late(0.6), "nothing here distinguishes: the fixes are 0.6"),
+    Wrong("gyroscope late by 0.4 s", {"which": "turbulent_uav"}, delayed(0.4, "gyro"), "gyro_shift=-0."),
+    Wrong("accelerometer early by 0.4 s", {"which": "turbulent_uav"}, delayed(-0.4, "accel"), "accel_shift=+0."),
     Wrong("fixes late by 2 s, positions only", POSITIONS, late(2.0), "gnss_shift=-"),
     Wrong("fixes early by 18 s (leap seconds)", {}, late(-18.0), "gnss_shift=+1"),
     Wrong("fixes on another clock", {}, late(1.4e9), "not one clock"),

@@ -1,4 +1,4 @@
-"""IMUs in one log, told apart by the names of its columns."""
+"""IMUs in one log, distinguished by the names of its columns."""
 
 from __future__ import annotations
 

@@ -143,7 +143,7 @@ def weigh(
     flight : Flight
         In whose outages metres count.
     plus : mapping of axis to NoiseModel, optional
-        What every unit has beside its fit, each a draw of its own: a turn-on bias, which no static log shows.
+        What every unit has next to its fit, each a draw of its own: a turn-on bias, which no static log shows.
     say : callable
         Told what is being done.
     rng : Generator, optional

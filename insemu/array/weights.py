@@ -1,4 +1,4 @@
-"""Weights of the units of an array: equal, by variance, scale-wise, and what is known of the units beside their estimates."""
+"""Weights of the units of an array: equal, by variance, scale-wise, and what is known of the units besides their estimates."""
 
 from __future__ import annotations
 

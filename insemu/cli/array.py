@@ -32,7 +32,7 @@ def command(
     plus: str = option(
         "--plus",
         "",
-        'What every IMU has beside its fit: "gyro=RC(sigma=0.1 deg/s), accel=RC(sigma=5 mg)", a turn-on bias.',
+        'What every IMU has in addition to its fit: "gyro=RC(sigma=0.1 deg/s), accel=RC(sigma=5 mg)", a turn-on bias.',
     ),
     rate: str = option("--rate", ""),
     skip: str = option("--skip", "0 s"),
@@ -114,7 +114,7 @@ def _read(files: list[str], rate: str, skip: str) -> dict[str, dict[str, Series]
 
 
 def _plus(text: str) -> dict[str, NoiseModel]:
-    """What is written beside the fits, by axis."""
+    """What is written together with the fits, by axis."""
     from insemu.covariates import parts_of
     from insemu.errors import InputError
     from insemu.noise import NoiseModel, axis_unit

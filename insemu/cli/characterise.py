@@ -83,7 +83,7 @@ def command(
             markup=False,
             soft_wrap=True,
         )
-    console.print(f"\nPage: [bold]{page}[/bold] (characterise.json and figures beside it)", soft_wrap=True)
+    console.print(f"\nPage: [bold]{page}[/bold] (characterise.json and figures next to it)", soft_wrap=True)
 
 
 def compare(axes: Sequence[AxisReport], others: Sequence[AxisReport]) -> dict[str, dict[str, float]]:

@@ -1,4 +1,4 @@
-"""``insemu compare-drives``: whether an emulated drive can be told from a recorded one, and by what."""
+"""``insemu compare-drives``: whether an emulated drive can be distinguished from a recorded one, and by what."""
 
 from __future__ import annotations
 

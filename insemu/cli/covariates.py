@@ -114,7 +114,7 @@ class Request:
         results : mapping
             Axis to fit.
         detail : callable
-            Prints what a fit has beside its noise model.
+            Prints what a fit has next to its noise model.
         render : callable
             Writes the page.
         """

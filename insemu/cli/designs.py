@@ -75,7 +75,7 @@ def command(
 
 
 def _structure(design: Design, scenario: Scenario | None) -> tuple[str, str]:
-    """The processes of gyroscopes and accelerometers without their parameters; axes that differ are told apart."""
+    """The processes of gyroscopes and accelerometers without their parameters; axes that differ are distinguished."""
     from insemu.scenario import structures
 
     models = structures(design, scenario)

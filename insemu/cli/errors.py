@@ -13,7 +13,7 @@ def command(
     out: str = option("--output", ..., "Log at rest of the errors to write (.npz or .csv)."),
     max_offset: str = option("--max-offset", "10 s"),
 ) -> None:
-    """Write what an IMU recorded less what a reference recorded, time offset, mounting and lever arm taken off.
+    """Write what an IMU recorded less what a reference recorded, time offset, mounting and lever arm removed.
 
     The file is a source of errors for a scenario (truth: {recorded: {files: [FILE]}}) and a log for `insemu characterise` and `insemu fit`. It
     holds the errors of the reference, too, and the biases.

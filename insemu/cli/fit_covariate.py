@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    log: str = argument("LOG", "Log at rest or drive, with the covariate beside the signals."),
+    log: str = argument("LOG", "Log at rest or drive, with the covariate next to the signals."),
     model: str = option("--model", ...),
     covariate: str = option(
         "--covariate",

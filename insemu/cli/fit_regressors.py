@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    log: str = argument("LOG", "Log at rest or drive, with the regressors beside the signals."),
+    log: str = argument("LOG", "Log at rest or drive, with the regressors next to the signals."),
     model: str = option("--model", ...),
     regressors: str = option("--regressors", ...),
     columns: list[str] | None = option("--columns", None),

@@ -68,7 +68,7 @@ def command(
     if vehicle not in VEHICLES:
         raise InputError(f"unknown vehicle '{vehicle}'" + nearest(vehicle, VEHICLES), where="--vehicle")
     if following and not following.endswith((".yaml", ".yml")):
-        raise InputError(f"found '{following}', expected a file .yaml; the waypoints go beside it", where="--next")
+        raise InputError(f"found '{following}', expected a file .yaml; the waypoints go next to it", where="--next")
     for effect in without or ():
         if effect not in EFFECTS:
             raise InputError(f"unknown effect '{effect}'" + nearest(effect, EFFECTS), where="--without")
@@ -113,7 +113,7 @@ def command(
         typer.echo(text)
     else:
         _tell(report, console)
-        console.print(f"Page: [bold]{page}[/bold]   (gap.json, refined.yaml beside it)")
+        console.print(f"Page: [bold]{page}[/bold]   (gap.json, refined.yaml next to it)")
     if following:
         _design(report, data, nominal, Path(following), vehicle, seed, console)
 

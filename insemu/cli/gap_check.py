@@ -77,7 +77,7 @@ def command(
     if left is not None:
         names = ", ".join(s.effect for s in left.findings)
         console.print(f"Searched again: [bold]{left.verdict}[/bold]" + (f" ({names})" if names else ""))
-    console.print(f"Page: [bold]{page}[/bold]   (check.json beside it)")
+    console.print(f"Page: [bold]{page}[/bold]   (check.json next to it)")
 
 
 def _tell(checks: dict[str, Check], console: Console) -> None:

@@ -34,7 +34,7 @@ def preview(experiment: Experiment, realizations: int, folder: Path, console: Co
     from insemu.whole import put
 
     if not experiment.world.outage_windows:
-        raise InputError("the scenario has no outage at whose end errors could be told", where="--linear")
+        raise InputError("the scenario has no outage at whose end errors could be computed", where="--linear")
     if (folder / MARKER).exists():
         raise InputError("holds the results of flights; expected another folder (--output)", where=str(folder))
     twin = LinearTwin(experiment)
@@ -76,7 +76,7 @@ def preview(experiment: Experiment, realizations: int, folder: Path, console: Co
     print_table(console, f"{experiment.scenario.title}, {realizations} linear realizations", *preview_rows(rows))
     console.print(PREVIEWED, style="dim", soft_wrap=True, highlight=False)
     print_items(console, preview_notes(document))
-    console.print(f"\nPage: {page} (summary.json beside it)", soft_wrap=True, highlight=False)
+    console.print(f"\nPage: {page} (summary.json next to it)", soft_wrap=True, highlight=False)
 
 
 def check_control(experiment: Experiment, *, until: bool) -> None:

@@ -41,8 +41,8 @@ ARGUMENTS: dict[str, str] = {
 #: Option -> (what follows it, what it means unless a command says more). Nothing follows a switch.
 OPTIONS: dict[str, tuple[str, str]] = {
     # what comes in, beside the arguments
-    "--gnss": ("FILE", "File with the fixes, where they are apart."),
-    "--truth": ("FILE", "File with the reference, where it is apart."),
+    "--gnss": ("FILE", "File with the fixes, where it is a separate one."),
+    "--truth": ("FILE", "File with the reference, where it is a separate one."),
     "--map": ("MAP", "Columns and settings, as of `insemu open`."),
     "--gnss-map": ("MAP", "The same for the file of --gnss."),
     "--truth-map": ("MAP", "The same for the file of --truth."),
@@ -58,8 +58,8 @@ OPTIONS: dict[str, tuple[str, str]] = {
     "--models": ("FILE", "Noise models of the axes: the file of `insemu fit -o` or `insemu sensor -o`."),
     "--sensor": ("NAME|FILE", "Sensor card: a name (insemu sensor) or the file of a card."),
     "--designs": ("NAMES", "Designs separated by commas, the scenario's or those of insemu designs."),
-    "--known": ("FILE", "What is known of the drive besides; its effects are taken off first."),
-    "--before": ("MODEL", "The nominal model, checked beside it."),
+    "--known": ("FILE", "What else is known of the drive; its effects are removed first."),
+    "--before": ("MODEL", "The nominal model, checked in the same way."),
     "--against": ("SCENARIO", "Score the designs of this scenario by the same outages."),
     "--baseline": ("FILE", "Baseline file (JSON), written by record."),
     "--beside": ("FILE", "JSON of other sensors' wavelet variances, drawn behind ours."),
@@ -81,7 +81,7 @@ OPTIONS: dict[str, tuple[str, str]] = {
     # what goes out
     "--output": ("PATH", "File or folder to write."),
     "--page": ("FILE", "Write a page with figures (HTML)."),
-    "--sensor-output": ("FILE", "Also write the noise of the sensor that was taken off (noise models)."),
+    "--sensor-output": ("FILE", "Also write the noise of the sensor that was removed (noise models)."),
     "--figure": ("FILE", "Draw it to this file (PNG, PDF or SVG)."),
     "--log": ("FILE", "Write the signals as a log at rest (.npz or .csv), for insemu fit."),
     "--next": ("FILE", "Design the next experiment and write its scenario (YAML) and waypoints."),
@@ -90,7 +90,7 @@ OPTIONS: dict[str, tuple[str, str]] = {
     "--overlay": ("", "Also draw the axes of a sensor in one panel."),
     "--overwrite": ("", "Replace results of the same scenario with more realizations."),
     "--force": ("", "Replace files that exist."),
-    "--save-map": ("", "Write the map beside the file; every command uses it from then on."),
+    "--save-map": ("", "Write the map next to the file; every command uses it."),
     "--list": ("", "List the scenarios that come with insemu with their questions."),
     "--formats": ("", "List the kinds of file that are read, and end."),
     "--to": ("NAME", "Program or kind of file that is written for."),
@@ -149,7 +149,7 @@ OPTIONS: dict[str, tuple[str, str]] = {
     "--case": ("NAME", "Figures of a card: typical or worst."),
     "--worst-factor": ("X", "Worst case of a figure without a printed limit, times the typical figure."),
     "--band": ("'1 s' '1000 s'", "Averaging times over which a filter's states stand for flicker."),
-    "--plus": ("MODELS", "What every IMU has beside its fit."),
+    "--plus": ("MODELS", "What every IMU has in addition to its fit."),
     "--take": ("NAME", "Weights that are written: metres, scale-wise, inverse or equal."),
     "--window": ("'60 s'", "Length of a window."),
     "--learn": ("N", "Windows before the first comparison."),

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 #: Columns that a table keeps on the narrowest terminal.
 LEAST = 3
-#: Characters of a stage's name beside its bar.
+#: Characters of a stage's name next to its bar.
 STAGE = 34
 #: Stages of the gap workflow on a drive with one effect, for the time left.
 STAGES = 14
@@ -30,7 +30,7 @@ def bars(console: Console) -> Progress:
 
 
 def _lines() -> Callable[[str], None]:
-    """What is told of the work, as lines on standard error.
+    """What is reported of the work, as lines on standard error.
 
     Work that is done within :data:`PATIENCE_S` says nothing, and a text that repeats the last one with other numbers waits for
     :data:`EVERY_S`.
@@ -112,7 +112,7 @@ def print_table(
 
 @contextmanager
 def counting(console: Console, label: str, total: int) -> Iterator[Callable[[str], None]]:
-    """One bar for work in ``total`` parts; what it yields is told of each part when it is finished.
+    """One bar for work in ``total`` parts; what it yields is reported of each part when it is finished.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def counting(console: Console, label: str, total: int) -> Iterator[Callable[[str
 
 @contextmanager
 def staged(console: Console, usual: int) -> Iterator[Callable[[str], None]]:
-    """One bar for work in stages; what it yields is told of each stage as it begins. The time left supposes the usual number of stages.
+    """One bar for work in stages; what it yields is reported of each stage as it begins. The time left supposes the usual number of stages.
 
     Parameters
     ----------

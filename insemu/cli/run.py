@@ -35,7 +35,9 @@ def command(
     ),
     control: int = option("--control", 0, min=0, max=LINEAR),
     out: str = option(
-        "--output", "", "Folder for results; default results/NAME beside the current folder, NAME-linear with --linear."
+        "--output",
+        "",
+        "Folder for results; default results/NAME next to the current folder, NAME-linear with --linear.",
     ),
     cluster: str = option("--cluster", ""),
     shard: str = option(
@@ -131,7 +133,7 @@ def say_all(results: dict[str, Results], failed: list[str], folder: Path, *, as_
         console = Console()
         show(console, main, results)
         console.print(
-            f"\nPage: {folder / 'index.html'} (summary.json, outages.csv, errors.nc beside it)", soft_wrap=True
+            f"\nPage: {folder / 'index.html'} (summary.json, outages.csv, errors.nc next to it)", soft_wrap=True
         )
     if failed:
         raise typer.Exit(1)
@@ -310,7 +312,7 @@ def run_all(
 
 @contextmanager
 def bar(console: Console, label: str, total: int) -> Iterator[tuple[Any, Any]]:
-    """A bar of progress: yields what is told of every step (done, total, what) and what is told of warnings.
+    """A bar of progress: yields what is reported of every step (done, total, what) and what is reported of warnings.
 
     Parameters
     ----------

@@ -81,7 +81,7 @@ def command(
         return
     _show(console, solution, compared, Path(against).name)
     console.print(
-        f"\nPage: [bold]{page}[/bold] (summary.json, solution.nc, solved.npz, trajectory and models beside it)",
+        f"\nPage: [bold]{page}[/bold] (summary.json, solution.nc, solved.npz, trajectory and models next to it)",
         soft_wrap=True,
     )
 

@@ -105,7 +105,7 @@ def _rows(sweep: Sweep, cache: Path, means: dict[str, Any]) -> list[Row]:
             for found in sweep.rows(cache, progress=progress, say=say, **means):
                 if not found:
                     raise InputError(
-                        "the scenario has no outage at whose end errors could be told", where=str(sweep.file)
+                        "the scenario has no outage at whose end errors could be computed", where=str(sweep.file)
                     )
                 rows += found
         except KeyboardInterrupt:
@@ -144,4 +144,4 @@ def _show(console: Any, sweep: Sweep, rows: Sequence[Row], page: Path) -> None:
             highlight=False,
             markup=False,
         )
-    console.print(f"\nPage: {page} (sweep.csv, sweep.json beside it)", soft_wrap=True, highlight=False)
+    console.print(f"\nPage: {page} (sweep.csv, sweep.json next to it)", soft_wrap=True, highlight=False)

@@ -22,7 +22,7 @@ def command(
     known: str = option(
         "--known",
         "",
-        "What is known of the drive besides: refined.yaml of 'insemu gap', a belief file or a scenario; its effects are taken off first.",
+        "What else is known of the drive: refined.yaml of 'insemu gap', a belief file or a scenario; its effects are removed first.",
     ),
     out: str = option("--output", "", "Write the models with the factors on them to this noise-model file."),
     page: str = option("--page", ""),

@@ -20,7 +20,7 @@ def command(
 ) -> None:
     """Learn a vehicle from a recording: spectra and phases of the six axes by regime, sideslip, jerk, with standard deviations.
 
-    The sensor's noise is taken off as standstills show it, or as --models says. What the recording cannot tell is printed and stands in the file.
+    The sensor's noise is removed as standstills show it, or as --models says. What the recording cannot tell is printed and stands in the file.
     """
     import json
     from pathlib import Path
@@ -57,7 +57,7 @@ def command(
         return
     print_table(
         console,
-        "What the vehicle does beside its path, root mean square",
+        "What the vehicle does next to its path, root mean square",
         *report.vehicle_rows(found),
         left=4,
         fit=True,

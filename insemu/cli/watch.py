@@ -1,4 +1,4 @@
-"""``insemu watch``: a noise model beside a stream, with alarms where a window differs from those before."""
+"""``insemu watch``: a noise model together with a stream, with alarms where a window differs from those before."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether an emulated drive can be told from a recorded one, and by what.
+"""Whether an emulated drive can be distinguished from a recorded one, and by what.
 
 Gradient-boosted trees look at windows of both and are asked about windows in blocks of time that they have not seen. The area under their curve is
 the chance that they find the emulated one of a pair: 0.5 where nothing tells, 1 where everything does. Regimes count alike in both drives, and

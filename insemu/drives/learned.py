@@ -74,7 +74,7 @@ class LearnedVehicle:
     vehicle : MovingVehicle
         As a scenario takes it; ``spectrum.unknown`` says what it cannot tell.
     sensor : mapping of axis to NoiseModel
-        The noise that was taken off; with it the vehicle sounds as the recording does.
+        The noise that was removed; with it the vehicle sounds as the recording does.
     seconds : mapping of regime to float
         How long it was seen, s.
     sideslip : Sideslip or None
@@ -253,7 +253,7 @@ def _noise(s: Signals, models: Mapping[str, NoiseModel] | None, f: Array) -> tup
     else:
         words = ["the sensor's noise while it moves: taken as what standstills show that no other axis explains"]
     if level is None:
-        return np.zeros((f.size, 6)), ["the sensor's noise: too few windows, so none is taken off"]
+        return np.zeros((f.size, 6)), ["the sensor's noise: too few windows, so none is removed"]
     return np.tile(level, (f.size, 1)), words
 
 

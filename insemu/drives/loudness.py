@@ -1,4 +1,4 @@
-"""How loud a recorded vehicle is in each band of each axis, window by window: what chance adds to a window taken off, and the blur of windows."""
+"""How loud a recorded vehicle is in each band of each axis, window by window: what chance adds to a window removed, and the blur of windows."""
 
 from __future__ import annotations
 

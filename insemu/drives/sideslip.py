@@ -13,7 +13,7 @@ from insemu.intake import track_of
 
 Array = NDArray[np.float64]
 
-#: Slowest speed whose course is used, m/s; longest time constant that is looked for and time over which a gyroscope's drift is taken off, s.
+#: Slowest speed whose course is used, m/s; longest time constant that is looked for and time over which a gyroscope's drift is removed, s.
 SLOWEST, DRIFT_S = 3.0, 30.0
 #: Shortest time constant of the random part, s: what is quicker stands in the spectrum of the yaw rate.
 QUICKEST_S = 3.0
@@ -25,7 +25,7 @@ SURE_AXLE, SURE_COMPLIANCE = 0.7, 0.004
 
 @dataclass(frozen=True)
 class Sideslip:
-    """Heading beside the course.
+    """Heading together with the course.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Sideslip:
     axle, compliance : (value, sigma)
         m and rad per m/s^2, see :class:`insemu.emulate.Slip`.
     late : (value, sigma)
-        Seconds by which the fixes' course is behind the gyroscope, taken off.
+        Seconds by which the fixes' course is behind the gyroscope, removed.
     unknown : tuple of str
         What it does not tell.
     """
@@ -63,7 +63,7 @@ def sideslip_of(s: Signals) -> Sideslip | None:
     Notes
     -----
     Heading less course is ``compliance v r - axle r / v`` of a turn ``r`` at a speed ``v``, the offset of the clocks adds ``late r``; the three are
-    told by the speeds at which it turns. Drift of the gyroscope is taken off by what is slower than :data:`DRIFT_S`.
+    told by the speeds at which it turns. Drift of the gyroscope is removed by what is slower than :data:`DRIFT_S`.
     """
     track = track_of(s.fixes)
     speed = np.hypot(track.velocity[:, 0], track.velocity[:, 1])

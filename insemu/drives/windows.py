@@ -256,7 +256,7 @@ def spectra(s: Signals, first: NDArray[np.intp], length: int) -> tuple[Array, ND
     first : (w,) array of int
         First rows.
     length : int
-        Rows of a piece; its mean and slope are taken off and a Hann window is laid over it.
+        Rows of a piece; its mean and slope are removed and a Hann window is laid over it.
     """
     x = s.x[first[:, None] + np.arange(length)]
     ramp = np.arange(length) - 0.5 * (length - 1)
@@ -327,7 +327,7 @@ def _further(
     motion: tuple[Array, Array],
     top: float,
 ) -> tuple[Array, tuple[str, ...]]:
-    """Features beside the powers (w, k) with names: axes that go together, jerk, sideslip."""
+    """Features together with the powers (w, k) with names: axes that go together, jerk, sideslip."""
     columns: list[Array] = []
     names: list[str] = []
     for low, high in PAIRED:

@@ -1,6 +1,6 @@
 """Effects that a sensor, a clock, a receiver or a model of motion may have: one object each, and the one list of them.
 
-An effect says in one place what it is, how it is injected, taken off, recognized in the innovations, put together with a second find of
+An effect says in one place what it is, how it is injected, removed, recognized in the innovations, put together with a second find of
 itself, and hidden in a blind trial: ``gnss.LeverArm`` is all about a wrong lever arm. The files are the families::
 
     stochastic.py     noise and what acts like it
@@ -9,7 +9,7 @@ itself, and hidden in a blind trial: ``gnss.LeverArm`` is all about a wrong leve
     timing.py         the clock of the IMU
     gnss.py           the fixes and the antenna
     model.py          what a model of motion leaves out
-    aids.py           measurements beside the fixes
+    aids.py           measurements other than the fixes
     expression.py     what has no name, as an equation (terms.py)
 
 :data:`EFFECTS` is the one list: the emulator, the scenario, the gap workflow, the trial and the tests of completeness go through it.
@@ -70,7 +70,7 @@ def join_of(effect: str, label: str) -> Join:
 def joined(known: Iterable[EffectUse], found: Iterable[EffectUse]) -> tuple[EffectUse, ...]:
     """Known effects with what was found of them on top; the rest follows.
 
-    A recording is searched with the known effects taken off, so what is found is what they lack.
+    A recording is searched with the known effects removed, so what is found is what they lack.
     """
     out = list(known)
     for use in found:
@@ -87,20 +87,6 @@ def joined(known: Iterable[EffectUse], found: Iterable[EffectUse]) -> tuple[Effe
 def catalogue_columns(motion: Motion, fixes: FixGeometry) -> list[Column]:
     """Unit columns of every effect whose shape in the innovations is known."""
     return [c for e in EFFECTS.values() if e.does("columns") for c in e.columns(motion, fixes)]
-
-
-def markdown_table() -> str:
-    """The catalogue as the table of the documentation."""
-    lines = ["| effect | sensor | formula | parameters [SI unit] = default |", "| --- | --- | --- | --- |"]
-    for effect in EFFECTS.values():
-        shown = []
-        for p in effect.parameters:
-            named = list(dict.fromkeys(effect.unit(p.name, sensor) or "1" for sensor in effect.sensors))
-            default = "" if p.default is None else f" = {p.default:g}"
-            shown.append(f"`{p.name}` [{'; '.join(named)}]{default}")
-        formula = effect.formula.replace("|", "\\|")
-        lines.append(f"| `{effect.id}` | {', '.join(effect.sensors)} | {formula} | {', '.join(shown)} |")
-    return "\n".join(lines)
 
 
 __all__ = [
@@ -147,7 +133,6 @@ __all__ = [
     "joined",
     "lagged",
     "lever_arm_of",
-    "markdown_table",
     "on_axes",
     "passes",
     "steady",

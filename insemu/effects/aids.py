@@ -1,4 +1,4 @@
-"""Errors of measurements beside the fixes: an odometer, a barometer, a heading (:mod:`insemu.filters.aids`)."""
+"""Errors of measurements other than the fixes: an odometer, a barometer, a heading (:mod:`insemu.filters.aids`)."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class AidErrors:
     values : (n, rows) array
         Of a perfect instrument, SI.
     level, added : (n, rows) arrays
-        Factor of the white noise, and what is added beside it, SI.
+        Factor of the white noise, and what is added next to it, SI.
     """
 
     t: Array
@@ -54,7 +54,7 @@ class AidErrors:
 
 
 class _OfAid(Effect):
-    """An error of a measurement beside the fixes."""
+    """An error of a measurement other than the fixes."""
 
     family = "aids"
     axes: ClassVar[tuple[str, ...]] = ()
@@ -204,7 +204,7 @@ class HeadingOffset(_Offset):
 
 
 class HeadingDeviation(_OfAid):
-    """Iron of the vehicle beside a compass: the coefficients B to E of a compass card (A is the offset)."""
+    """Iron of the vehicle together with a compass: the coefficients B to E of a compass card (A is the offset)."""
 
     id, name = "heading_deviation", "compass deviation"
     sensors = ("heading",)
@@ -352,7 +352,7 @@ class BarometerCorrelatedNoise(_CorrelatedNoise):
 
 
 class HeadingCorrelatedNoise(_CorrelatedNoise):
-    """Iron beside the road, multipath of a baseline."""
+    """Iron next to the road, multipath of a baseline."""
 
     id, name, sensors = "heading_correlated_noise", "correlated heading noise", ("heading",)
     parameters = _memory(1, math.radians(1.0), "rad", 60.0)
@@ -409,7 +409,7 @@ def aid_age(kind: str, uses: Sequence[EffectUse]) -> float:
 
 
 def aid_corrected(aid: AidRecord, uses: Sequence[EffectUse], first: float) -> AidRecord:
-    """An aid put right: its own effects taken off, and its stamps, which are the IMU's clock's, put right with that.
+    """An aid put right: its own effects removed, and its stamps, which are the IMU's clock's, put right with that.
 
     Parameters
     ----------

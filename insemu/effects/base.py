@@ -1,6 +1,6 @@
 """What an effect is: a class with its parameters, its traits and everything that the program does with it; and an effect with numbers.
 
-Each effect is one class in one of the files of this package, and says there how it is injected, taken off, recognized in the innovations,
+Each effect is one class in one of the files of this package, and says there how it is injected, removed, recognized in the innovations,
 put together with a second find of itself, and hidden in a blind trial. An :class:`EffectUse` is an effect with numbers::
 
     EffectUse.from_mapping({"effect": "scale_factor", "sensor": "gyro", "value": ["500 ppm", 0, 0]})
@@ -56,7 +56,7 @@ ASPECTS: tuple[Aspect, ...] = ("emulate", "compensate", "signature", "candidate"
 #: filled     : takes samples, in whose place others are put from those around them
 #: widened    : a filter without states for it widens what it believes; a search carries it in its model
 #: equation   : what it is is an equation, its place as well: several of one sensor may stand side by side
-#: evident    : read off the samples or beside a recorded signal: nothing unexplained can stand in for it
+#: evident    : read off the samples or together with a recorded signal: nothing unexplained can stand in for it
 Trait = Literal[
     "slow",
     "fast",
@@ -87,7 +87,7 @@ IN_SAMPLES = "seen in the samples, above the motion"
 BOTH: tuple[Sensor, ...] = ("gyro", "accel")
 IMU: tuple[Sensor, ...] = ("imu",)
 GNSS: tuple[Sensor, ...] = ("gnss",)
-#: Measurements beside the fixes that can have effects.
+#: Measurements other than the fixes that can have effects.
 AID_KINDS: tuple[AidKind, ...] = ("odometer", "barometer", "heading")
 
 
@@ -189,7 +189,7 @@ class Effect:
 
     @property
     def compensable(self) -> bool:
-        """Whether its numbers can be taken off the data."""
+        """Whether its numbers can be subtracted from the data."""
         return any(self.does(name) for name in INVERSES)
 
     @property
@@ -245,7 +245,7 @@ class Effect:
     # -- compensate: what a filter that knows it does to its data; at most a few of these ---------------------------------------------
 
     def restored(self, use: EffectUse, imu: ImuRecord) -> ImuRecord:
-        """The record as it was recorded with what was lost filled in, before anything else is taken off."""
+        """The record as it was recorded with what was lost filled in, before anything else is removed."""
         raise NotImplementedError(self.id)
 
     def added(self, use: EffectUse, t: Array, temperature: Array | None) -> Array:
@@ -434,7 +434,7 @@ class Effect:
         return getattr(type(self), what) is not getattr(Effect, what)
 
 
-#: The functions by which an effect is taken off.
+#: The functions by which an effect is removed.
 INVERSES = (
     "restored",
     "added",

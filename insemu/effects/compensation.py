@@ -1,6 +1,6 @@
 """Effects run backwards: what a filter that knows them does to its data before it uses them.
 
-Each effect says how it is taken off; this module does so in the order of the signal chain, backwards. Noise has nothing that could be taken
+Each effect says how it is removed; this module does so in the order of the signal chain, backwards. Noise has nothing that could be taken
 off and is passed over (it belongs in the noise model). A test holds the emulator against it.
 """
 
@@ -85,7 +85,7 @@ def compensated(
 
 def _given(trajectory: Trajectory | None, use: EffectUse) -> Trajectory:
     if trajectory is None:
-        raise InputError(f"the effect '{use.id}' is taken off along a trajectory, and none is given")
+        raise InputError(f"the effect '{use.id}' is removed along a trajectory, and none is given")
     return trajectory
 
 

@@ -55,7 +55,7 @@ class _Equation(Effect):
 
     family = "model"
     sensors = ("gyro", "accel", "gnss")
-    excitation, in_filter = "what stands in the term has to vary", "the term of the estimated signals is taken off"
+    excitation, in_filter = "what stands in the term has to vary", "the term of the estimated signals is removed"
     axes, traits = (), frozenset({"equation"})
     stage, size = Stage.LAW, "value"
 

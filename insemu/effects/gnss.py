@@ -372,7 +372,7 @@ class Quality(_OfFixes):
     )
     excitation, in_filter = "fixes", "R from the receiver"
     absent = {
-        "compensate": "a receiver that states its quality has nothing that could be taken off", "signature": _NO_MEAN,
+        "compensate": "a receiver that states its quality has nothing that could be removed", "signature": _NO_MEAN,
         "candidate": "levels that change are seen as outliers or as a level; no candidate names two states yet",
         "refine": "no candidate looks for it", "trial": "no candidate looks for it",
     }  # fmt: skip
@@ -417,7 +417,7 @@ class Latency(_OfFixes):
 
 
 class VelocityLag(_OfFixes):
-    """Velocities that are older than the positions beside them, as those of position differences or of a smoothing receiver are."""
+    """Velocities that are older than the positions next to them, as those of position differences or of a smoothing receiver are."""
 
     id, name = "gnss_velocity_lag", "velocity lag of the fixes"
     formula = (

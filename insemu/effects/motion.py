@@ -244,7 +244,7 @@ def steady(signal: Array, dt: float) -> Array:
 
 
 def acceleration_along(t: Array, acceleration: Array, vel: Array) -> Array:
-    """Measured acceleration (n, 3) less vibration and less what makes it drift away from the velocities beside it, NED, m/s^2.
+    """Measured acceleration (n, 3) less vibration and less what makes it drift away from the velocities next to it, NED, m/s^2.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ _P = EffectParameter
 #: Highest order at which a Butterworth filter's coefficients still are the filter.
 MOST_ORDER = 20.0
 
-_RANDOM = "random: there is nothing that could be taken off; it belongs in the noise model"
+_RANDOM = "random: there is nothing that could be removed; it belongs in the noise model"
 _NO_MEAN = "random: it changes the covariance of the innovations, not their mean"
 _NOT_FOUND = "no candidate looks for it"
 

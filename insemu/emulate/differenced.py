@@ -1,7 +1,7 @@
 """Error signals of an IMU in motion: what it recorded less what a better one recorded on the same mount (Stebler et al. 2014, section VI).
 
 Time offset, mounting and the distance between the two are found by least squares on means of :data:`BLOCK` seconds, with the biases as
-unknowns that are not taken off: shift the reference's integrals in time, turn them, add what the lever arm sees. The difference is then taken at
+unknowns that are not removed: shift the reference's integrals in time, turn them, add what the lever arm sees. The difference is then taken at
 the unit's own rate. It holds the reference's errors, too.
 """
 

@@ -233,7 +233,7 @@ def urban_motorway() -> Flight:
 
 
 def outage_windows(flights: Sequence[Flight]) -> list[dict[str, float | str]]:
-    """Duration, mean speed and turn of every outage window of the drives, beside the printed ones.
+    """Duration, mean speed and turn of every outage window of the drives, together with the printed ones.
 
     Returns
     -------

@@ -151,7 +151,7 @@ def _between(trajectory: Trajectory, t: Array, k: NDArray[np.intp]) -> tuple[Arr
     at_end = u[:, 0] == 1.0
     llh[at_end], v[at_end] = trajectory.llh[k[at_end] + 1], v1[at_end]
 
-    # rates at a node are those of the intervals beside it
+    # rates at a node are those of the intervals next to it
     last = nodes.size - 2
     before, after = np.maximum(k - 1, 0), np.minimum(k + 1, last)
     needed = np.zeros(nodes.size, dtype=bool)

@@ -187,7 +187,7 @@ class Following:
     intervals, length, place : int
         Samples of a piece and of a record, and which piece of its record it is.
     centred : bool
-        Whether the mean of the record is taken off.
+        Whether the mean of the record is removed.
     """
 
     def __init__(
@@ -242,7 +242,7 @@ class _Simulated:
     intervals, length : int
         Samples of a piece and of a record.
     centred : bool
-        Whether the mean of a record is taken off its pieces.
+        Whether the mean of a record is subtracted from its pieces.
     at : (k,) array of int
         Samples of a piece at which true states are kept.
     """

@@ -199,7 +199,7 @@ def read_track(path: str | Path) -> Track:
     path = Path(path)
     names = {alias: key for key, aliases in _COLUMNS.items() for alias in aliases}
     if path.suffix.lower() != ".csv" or _of_others(path, names):
-        # fixes need no IMU beside them: GPX, NMEA, a receiver's .pos
+        # fixes need no IMU next to them: GPX, NMEA, a receiver's .pos
         found = opened(path) if path.exists() and layout_of(path) == "foreign" else read_recording(path)
         if found.gnss is not None:
             return Track.of(found.gnss, path.stem)

@@ -132,7 +132,7 @@ def odd_places(name: str, llh: Array, kind: Vehicle) -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        Warnings; empty where nothing is odd. Two coordinates that are both plausible latitudes are not told apart.
+        Warnings; empty where nothing is odd. Two coordinates that are both plausible latitudes are not distinguished.
     """
     lat, lon = np.rad2deg(llh[:, 0]), np.rad2deg(llh[:, 1])
     out = []

@@ -320,7 +320,7 @@ class _Legs:
         if (np.abs(angle) > SHARPEST_TURN).any():
             k = int(np.argmax(np.abs(angle)))
             raise InputError(
-                f"{source}: waypoint {k + 2} turns by {np.rad2deg(angle[k]):.0f} deg, expected at most 150 deg; add a waypoint beside it"
+                f"{source}: waypoint {k + 2} turns by {np.rad2deg(angle[k]):.0f} deg, expected at most 150 deg; add a waypoint next to it"
             )
         ends = cruise[[0, -1]] if v.min_speed > 0 else np.zeros(2)
         corner = np.concatenate([ends[:1], np.where(stands[1:-1], 0.0, np.minimum(cruise[:-1], cruise[1:])), ends[1:]])

@@ -189,7 +189,7 @@ class CoarseTwin:
         w = xi[2] @ noise.T
         s = _chain(y[:, :m], transition[:m, :m], w[..., :m])
         out = s[:, :-1] @ transition[m:, :m].T + w[..., m:]
-        if parts.length:  # the mean of the whole record is taken off its pieces
+        if parts.length:  # the mean of the whole record is subtracted from its pieces
             y = np.hstack([s[:, -1], y[:, m:] + out.sum(axis=1)])
             y = y @ behind.T + xi[3] @ tail.T
             y = beside(y, xi[4], place, parts.after, parts.roots[1])

@@ -25,7 +25,7 @@ from insemu.work import run_items
 
 @dataclass(frozen=True)
 class ComparisonRow:
-    """One design at the end of one outage, beside the base.
+    """One design at the end of one outage, together with the base.
 
     Parameters
     ----------

@@ -113,7 +113,7 @@ class CovarianceAnalysis:
 
 
 def beside(belief: Augmentation, truth: Augmentation) -> Augmentation:
-    """The filter's estimates (driven by nothing) beside the true states (seen with the other sign).
+    """The filter's estimates (driven by nothing) together with the true states (seen with the other sign).
 
     Calibration and installation states stand among the estimates only: the truth's are zero, for its sensors have no such errors.
     """

@@ -24,9 +24,9 @@ from insemu.evaluate.results import Results, outage_rows, summary
 from insemu.scenario import Scenario
 from insemu.whole import clear_partials, put, replacing
 
-#: Says that everything beside it is there: scenario, realizations and the sha256 of every file. Absent: the folder is not finished.
+#: Says that everything next to it is there: scenario, realizations and the sha256 of every file. Absent: the folder is not finished.
 MARKER = "complete.json"
-#: What is locked, and beside it who locked it.
+#: What is locked, and next to it who locked it.
 LOCK, WRITER = ".lock", ".writer"
 #: How long the run took: the one file that a repeated run does not write with the same bytes.
 TIMING = "timing.json"
@@ -113,7 +113,7 @@ def _ended(writer: Path) -> bool:
 
 
 def _named(writer: Path) -> str:
-    """Who holds the folder, as the holder wrote it: beside the lock, because Windows lets nobody read a locked file."""
+    """Who holds the folder, as the holder wrote it: together with the lock, because Windows lets nobody read a locked file."""
     try:
         return writer.read_text(encoding="utf-8").strip() or "another process"
     except (OSError, UnicodeDecodeError):

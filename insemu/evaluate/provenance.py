@@ -71,7 +71,7 @@ def locked() -> Mapping[str, str]:
 
 
 def surroundings(inputs: Mapping[str, Path]) -> dict[str, Any]:
-    """What a result depends on beside the scenario.
+    """What a result depends on together with the scenario.
 
     Parameters
     ----------

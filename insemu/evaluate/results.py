@@ -231,7 +231,7 @@ def outage_table(results: Results) -> dict[str, list[dict[str, Any]]]:
 
     ``planimetric_mean_m`` averages over epochs and realizations of the outage; ``planimetric_max_m`` and ``north_max_m``, ``east_max_m``,
     ``down_max_m`` average the largest error of each realization; ``predicted_sigma_end_m`` is the root of the mean stated horizontal
-    variance. With a smoother, ``smoothed`` holds its own figures beside the filter's in the middle of the outage, where a smoother is worst.
+    variance. With a smoother, ``smoothed`` holds its own figures together with the filter's in the middle of the outage, where a smoother is worst.
     """
     table: dict[str, list[dict[str, Any]]] = {}
     for d, name in enumerate(results.names):

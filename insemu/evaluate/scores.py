@@ -1,4 +1,4 @@
-"""What is kept of one design in one realization beside its navigation errors: what it says of the sensors, and sums over its fixes."""
+"""What is kept of one design in one realization next to its navigation errors: what it says of the sensors, and sums over its fixes."""
 
 from __future__ import annotations
 

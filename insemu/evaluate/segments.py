@@ -1,7 +1,7 @@
 """All designs and the true states from end to end of the outages: one map and one covariance of what noise adds, whatever the rate.
 
 The errors and estimates of all designs and the true states form one linear system, whose noise is Gaussian. Its covariance moves from fix to
-fix; what lies between two ends of outages is then one transition and one draw. Where the mean of a record is taken off the errors of its pieces,
+fix; what lies between two ends of outages is then one transition and one draw. Where the mean of a record is subtracted from its pieces,
 sums of the axes' errors are carried, and what a constant error does.
 
 Source: Gelb (1974), Applied Optimal Estimation, section 7.1 (the joint covariance); conditioning a Gaussian chain is exact.
@@ -79,7 +79,7 @@ class Segments:
     Parameters
     ----------
     parts : sequence of Segment
-        One per distinct end and, where a mean is taken off, one to the end of the flight.
+        One per distinct end and, where a mean is removed, one to the end of the flight.
     outage : (outages,) array of int
         The part at whose end each outage ends.
     first : (p, p) array
@@ -113,13 +113,13 @@ class Segments:
         ----------
         joint : Joint
         truth : (Augmentation, Carried)
-            Of the true sensors; with sums where a mean is taken off.
+            Of the true sensors; with sums where a mean is removed.
         sigma : (9,) array
             Standard deviations of the initial errors, which all designs share.
         ends : (outages,) array of int
             Rows.
         record : (int, int)
-            Samples of a record (0: nothing is taken off) and of its pieces.
+            Samples of a record (0: nothing is removed) and of its pieces.
         """
         length, steps = record
         aug, own = truth
@@ -163,7 +163,7 @@ class Segments:
                 z += w[:, : D * n].reshape(count, D, n).transpose(1, 0, 2)
                 s = s @ part.states[:p, :p].T + w[:, D * n :]
                 errors[k] = z[:, :, :9]
-            if self.length:  # the mean of the whole record is taken off its pieces
+            if self.length:  # the mean of the whole record is subtracted from its pieces
                 s = beside(s, xi[:, cut[2] : cut[3]], place, self.after, self.roots[1])
                 for k, response in enumerate(self._constants()):
                     errors[k] -= s[:, p - 6 :] / self.length @ response.transpose(0, 2, 1)
@@ -297,7 +297,7 @@ def _both(C: Array, own: Array, seen: Array, states: Array) -> Array:
 def beside(
     s: Array, xi: Array, place: NDArray[np.intp], maps: Sequence[tuple[Array, Array]], roots: Sequence[Array]
 ) -> Array:
-    """Take true states and sums (realizations, p) through what lies beside their piece of the record.
+    """Take true states and sums (realizations, p) through what lies outside their piece of the record.
 
     Parameters
     ----------

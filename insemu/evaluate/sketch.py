@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 #: Largest relative error of a quantile: that of the 95 % quantile of 10,000 errors by chance is about as large.
 ACCURACY = 0.01
-#: What is told apart, m: smaller values count as the smallest one, larger ones as the largest.
+#: What is distinguished, m: smaller values count as the smallest one, larger ones as the largest.
 SMALLEST, LARGEST = 1e-6, 1e9
 _GROWTH = (1.0 + ACCURACY) / (1.0 - ACCURACY)
 _BUCKETS = int(np.ceil(np.log(LARGEST / SMALLEST) / np.log(_GROWTH)))

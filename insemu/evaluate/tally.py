@@ -50,7 +50,7 @@ RUNS: Mapping[str, tuple[tuple[str, ...], str, str]] = {
     "stated_heading": ((), "rad", "stated heading deviation, mean over the epochs"),
     "log_nees": ((), "1", "logarithm of the NEES, mean over the epochs"),
 }  # fmt: skip
-#: Sums over the realizations: dimensions behind design, and what is told of them (name, unit, meaning).
+#: Sums over the realizations: dimensions behind design, and what is reported of them (name, unit, meaning).
 _SUMS: Mapping[str, tuple[tuple[str, ...], str, str, str]] = {
     "error": (("time", "component"), "error_mean", "SI", "mean navigation error"),
     "error_square": (("time", "component"), "error_rms", "SI", "root mean square navigation error"),

@@ -27,7 +27,7 @@ _OF_INNOVATIONS = {
 }
 _OF_COLOUR = {
     "consistent": "innovations are white",
-    "correlated": "innovations are not white: something is left to be modelled",
+    "correlated": "innovations are not white: the model is incomplete",
 }
 
 

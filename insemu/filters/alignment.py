@@ -77,17 +77,17 @@ class Alignment:
         return self.bias[:3], np.diag(self.bias_sigma[:3] ** 2)
 
     def bias_beyond(self, believed: Array | None = None) -> Array:
-        """The part of the biases that is taken off the data of a filter, (6,), rad/s and m/s^2; zero where nothing tells it.
+        """The part of the biases that is subtracted from the data of a filter, (6,), rad/s and m/s^2; zero where nothing tells it.
 
         A bias that is found to ``s`` and believed to be within ``b`` of zero at the start is most likely the share ``b^2 / (b^2 + s^2)`` of what
-        was found: of a sensor that is better than the alignment can see, almost nothing. A bias that contradicts the belief is taken off
+        was found: of a sensor that is better than the alignment can see, almost nothing. A bias that contradicts the belief is removed
         wholly.
 
         Parameters
         ----------
         believed : (6,) array, optional
             Standard deviation of the turn-on bias as the filter believes it, rad/s and m/s^2; where it is NaN or left out the filter knows of
-            none, and all of the bias is taken off.
+            none, and all of the bias is removed.
         """
         found = np.nan_to_num(self.bias)
         if believed is None:
@@ -259,7 +259,7 @@ class Track:
 
 
 def first_track(gnss: GnssRecord, inside: NDArray[np.bool_], min_speed: float) -> Track | None:
-    """The first fix at which the motion tells a course: of velocities where the record has them beside positions, else of a parabola through these.
+    """The first fix at which the motion tells a course: of velocities where the record has them, else of a parabola through the positions.
 
     Parameters
     ----------

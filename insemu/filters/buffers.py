@@ -54,7 +54,7 @@ class Buffers:
         *,
         side_by_side: bool = False,
     ) -> Buffers:
-        """Arrays for ``n`` states, so many epochs, whole covariances and nodes beside those of fixes; of lanes for several realizations."""
+        """Arrays for ``n`` states, so many epochs, whole covariances and nodes next to those of fixes; of lanes for several realizations."""
         f, w = events.z.shape
         stored = o.store == "fixes"
         rows = o.rows(epochs).size

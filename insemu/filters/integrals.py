@@ -108,7 +108,7 @@ class Integrals:
 
     ``Q`` (f, 3, 3) attitude, ``T`` its integral; ``velocity``, ``place`` (f, 3) integrals of the specific force; ``v_bg``, ``p_bg``, ``v_ba``,
     ``p_ba`` (f, 3, 3) their derivatives by the biases of gyroscopes and accelerometers; ``arm``, ``swing`` (f, 3) of the antenna; ``bias`` (6,)
-    what was taken off.
+    what was removed.
     """
 
     Q: Array

@@ -6,7 +6,7 @@ them but the angles, so least squares with priors on the biases (Gauss-Newton fr
 whether another heading would do as well. The velocity-vector form of it is Wu and Pan (2013); here the fixes are used as they come, with
 their own noise, so that the noise of a slow vehicle's fixes never counts as motion.
 
-That holds over the seconds in which the noise of the gyroscopes does not matter. The stretch is grown until the heading is told coarsely; from
+That holds over the seconds in which the noise of the gyroscopes does not matter. The stretch is grown until the heading is known coarsely; from
 there on the filter itself does the rest, on the fixes that follow. Where the first motion does not tell it, later motion may; a record that
 never tells the heading is refused.
 """

@@ -34,7 +34,7 @@ LARGEST_BIAS = np.deg2rad(5.0)
 BIAS_SIGMA = np.deg2rad(2.0)
 #: The direction of the specific force may turn at this rate without being called a turn, rad/s (a bias of the accelerometer that settles).
 DIRECTION_RATE = np.deg2rad(0.1)
-#: Means over half a second of a vehicle at rest scatter by no more than this beside white noise, rad/s and m/s^2.
+#: Means over half a second of a vehicle at rest scatter by no more than this together with white noise, rad/s and m/s^2.
 STEADY = (np.deg2rad(0.1), 0.03)
 #: Rates of two quiet stretches that are this close are the same, rad/s (in-run changes of consumer MEMS).
 SAME_RATE = np.deg2rad(0.05)
@@ -70,7 +70,7 @@ class Quiet:
     def bias(self) -> tuple[Array, Array]:
         """Bias of the gyroscope as this stretch tells it (the Earth's rate is in it), (3,), and its covariance (3, 3).
 
-        What would pass for a rest is not told from a bias: the bounds of the tests are three standard deviations.
+        What would pass for a rest is not distinguished from a bias: the bounds of the tests are three standard deviations.
         """
         vertical = np.outer(self.down, self.down)
         across = self.scatter**2 + (DIRECTION_RATE / 2.6) ** 2

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 def smoothed_at(result: FilterResult, smoothed: SmootherResult, rows: NDArray[np.int64]) -> Array:
     """Smoothed navigation states (m, 10) at epochs that a run stored.
 
-    Between two nodes the filter predicts; what the smoother would take off at the first and at the second is taken off in proportion to time.
+    Between two nodes the filter predicts; what the smoother would take off at the first and at the second is removed in proportion to time.
 
     Parameters
     ----------

@@ -99,7 +99,7 @@ def fit_autocorrelation(
 
 
 def _line(covariance: Array, first: int, dt: float, n: int) -> tuple[NDArray[np.int64], float, float] | None:
-    """Lags, variance and inverse correlation time of the line; the mean that was taken off is put back."""
+    """Lags, variance and inverse correlation time of the line; the mean that was removed is put back."""
     lost = 0.0
     lags = np.zeros(0, dtype=np.int64)
     sigma2 = beta = 0.0
@@ -121,7 +121,7 @@ def _line(covariance: Array, first: int, dt: float, n: int) -> tuple[NDArray[np.
 
 
 def _lost(sigma2: float, beta: float, duration: float) -> float:
-    """Variance of the mean of a Gauss-Markov noise over a record, which removing it takes off the autocovariance."""
+    """Variance of the mean of a Gauss-Markov noise over a record, which removing it subtracts the autocovariance."""
     x = beta * duration
     return 2.0 * sigma2 * (x - 1.0 + math.exp(-x)) / x**2
 

@@ -91,7 +91,7 @@ def _notes(fitted: AR | AR1, coefficients: Array, radius: float, denoised: str) 
         )
     if denoised:
         notes.append(
-            f"{denoised} first: the process describes what is left, not the signal's white noise, and standard "
+            f"{denoised} first: the process describes the rest, not the signal's white noise, and standard "
             "errors that take it for white-driven are too small"
         )
     return notes

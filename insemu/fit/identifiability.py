@@ -74,7 +74,7 @@ def warnings_of(
             instead = "leave it out, the model has an RW already" if has_walk else "use RW() instead"
             what = "longer than" if time > record else "longer than half of"
             out.append(
-                f"{labels[k]}: correlation time {time:.3g} s is {what} the record ({record:.3g} s) and cannot be told from a "
+                f"{labels[k]}: correlation time {time:.3g} s is {what} the record ({record:.3g} s) and cannot be distinguished from a "
                 f"random walk; {instead}"
             )
         elif time < 0.7 * structure.dt:
@@ -86,7 +86,7 @@ def warnings_of(
                 )
             else:
                 instead = "leave it out, the model has a WN already" if white else "use WN() instead"
-                out.append(f"{below} and can hardly be told from white noise; {instead}")
+                out.append(f"{below} and can hardly be distinguished from white noise; {instead}")
     times.sort(key=lambda item: item[1])
     for (k, one), (h, two) in pairwise(times):
         if two / one < 1.3:

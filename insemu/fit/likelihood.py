@@ -350,7 +350,7 @@ def _notes(
         if time is not None and time > record / 2.0 and any((k, meta.name) in free for meta in p.shape_parameters):
             notes.append(
                 f"{p.symbol}{index}: correlation time {time:.3g} s is longer than half of the record ({record:.3g} s) and "
-                "cannot be told from a random walk; use RW() instead"
+                "cannot be distinguished from a random walk; use RW() instead"
             )
     for i, (k, name) in enumerate(free):
         if not math.isfinite(covariance[i, i]) or covariance[i, i] < 0:

@@ -1,4 +1,4 @@
-"""A noise model beside a stream: wavelet moments that are carried on, a fit from them now and then, and alarms where a window differs.
+"""A noise model together with a stream: wavelet moments that are carried on, a fit from them now and then, and alarms where a window differs.
 
 The moments of a stretch of the stream are running sums (:class:`insemu.variance.HaarAccumulator`), so that memory and work per sample do not
 grow. Every window has a wavelet variance of its own; at every short scale its ratio to that of the stretches before has an F distribution

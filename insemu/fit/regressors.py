@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 BLOCKS = 1024
 #: Most turns of coefficients and model, and the change of a coefficient in its standard errors at which they stay.
 TURNS, STAYS = 6, 0.02
-#: A regressor of which this part or less is left beside the others cannot be told from them.
+#: A regressor of which this part or less is left by the others cannot be distinguished from them.
 LEAST_LEFT = 1e-6
 #: Relative step of numerical derivatives by the parameters of the noise model, in their standard errors, and at most of the value.
 STEP_ERROR, STEP_VALUE = 0.1, 0.05
@@ -65,7 +65,7 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class RegressedFit:
-    """A noise model and the coefficients of regressors beside it.
+    """A noise model and the coefficients of regressors next to it.
 
     Parameters
     ----------

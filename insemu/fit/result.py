@@ -388,7 +388,7 @@ def allan_interval(result: FitResult, confidence: float = 0.95) -> dict[str, lis
 
 
 def save(results: Mapping[str, FitResult], path: str | Path, spreads: Mapping[str, Spread] | None = None) -> None:
-    """Write fits as YAML: the models that a scenario (and :func:`insemu.noise.load`) reads, and beside them what the fit said of them.
+    """Write fits as YAML: the models that a scenario (and :func:`insemu.noise.load`) reads, and next to them what the fit said of them.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ UNKNOWN, NO_WHITE = 1e4, 1e-3
 UNCHANGED = 2e-4
 #: The longest signal that is drawn for the correction.
 LONGEST = 1 << 17
-#: Amplitudes of outliers, in standard deviations of the residual. Below the first an outlier cannot be told from noise.
+#: Amplitudes of outliers, in standard deviations of the residual. Below the first an outlier cannot be distinguished from noise.
 AMPLITUDES = 2.5 * 1.25 ** np.arange(16)
 #: Octaves in which the correction is measured; in longer ones it is white noise and falls with the scale.
 MEASURED = 5

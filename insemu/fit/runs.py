@@ -422,7 +422,7 @@ def _spread(label: str, y: Array, variance: Array, joint: float) -> Between:
 
 @cache
 def scatter_taken_off(runs: int) -> float:
-    """What part of the scatter of a log is taken off the squared interval of the next log to get that of the next run.
+    """What part of the scatter of a log is subtracted from the squared interval of the next log to get that of the next run.
 
     All of it (1) is right for many runs. With few the scatter is hardly known, and less must go (as in the expansion of Welch 1947). It is the part
     with which the coverage strays least from 95 % over all spreads from none to :data:`WIDEST` times the scatter of a log, where all logs scatter

@@ -95,7 +95,7 @@ def fit_slopes(series: Series, model: NoiseModel, *, source: Source = "allan") -
                 f"{kind} cannot be read off the {source} curve; expected a sum of {known}, one each (or use gmwm)"
             )
         if kinds.count(kind) > 1:
-            raise InputError(f"slopes cannot tell {kinds.count(kind)} {kind} apart; expected one of each (or use gmwm)")
+            raise InputError(f"slopes cannot separate {kinds.count(kind)} {kind}; expected one of each (or use gmwm)")
     if any(_searched(p) and p.given[p.level.name] is not None for p in model):
         raise InputError("a correlation time alone is not read; expected GM() or GM(Tc=...)")
     if source == "allan":

@@ -258,7 +258,7 @@ class _Moments:
     # -- the search ---------------------------------------------------------------------------------------------------------------
 
     def started(self, series: Sequence[Series]) -> _Tied:
-        """Shared processes from the cross-covariances, then the rest of each axis beside them."""
+        """Shared processes from the cross-covariances, then the rest of each axis next to them."""
         begin = dict(self.asked)
         left = {pair: c.value[self.use].copy() for pair, c in self.cross.items()}
         for name, members in shared_processes(self.asked).items():

@@ -27,6 +27,9 @@ Array = NDArray[np.float64]
 #: Unit that a column without one is taken to have where it is not SI.
 _USUAL = {"lat": "deg", "lon": "deg", "course": "deg", "rpy": "deg", "roll": "deg", "pitch": "deg", "heading": "deg"}
 
+#: Most columns without a role that are listed by name.
+NAMED = 12
+
 
 @dataclass
 class Story:
@@ -128,6 +131,10 @@ def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
         if f"{role}_axes" in used.settings:
             values[role] = values[role] @ axis_order(used.settings[f"{role}_axes"], where).T
         _say(role, found, units, story, table)
+    picked = {names[k] for role, picks in used.picks.items() for k, _ in resolve(role, picks, names, where)}
+    if unused := [name for name in names if name not in picked]:
+        more = f" and {len(unused) - NAMED} more" if len(unused) > NAMED else ""
+        story.taken.append(f"nothing from {', '.join(unused[:NAMED])}{more} of {where}")
     kind = _kind(used.settings, integrals, where)
     rows = next(iter(values.values())).shape[0]
     start, t, unit_s = _times(table, used, names, rows, "gyro" in values or "accel" in values, story)
@@ -305,7 +312,7 @@ def numbers_of(text: str, count: int, where: str) -> Array:
     Parameters
     ----------
     text : str
-        Numbers with blanks between them; a ``deg`` at the end is taken off.
+        Numbers with blanks between them; a ``deg`` at the end is removed.
     count : int
         How many are expected.
     where : str
@@ -384,9 +391,35 @@ def imu_of(parts: Sequence[Columns], story: Story) -> ImuRecord:
         story.taken.append(f"axes turned into forward-right-down ({said})")
     if temperature is not None:
         temperature = temperature if np.isfinite(temperature).all() else None
+    inside, gyro_values, accel = _delayed(t, gyro_values, accel, first, story)
+    t, temperature = t[inside], temperature if temperature is None else temperature[inside]
     if "shift" in first.settings:
         t = t + parse(first.settings["shift"], "s")
     return ImuRecord(t, gyro_values, accel, first.kind, temperature)
+
+
+def _delayed(t: Array, gyro: Array, accel: Array, part: Columns, story: Story) -> tuple[slice, Array, Array]:
+    """Signals of sensors whose stamps are moved (``gyro_shift``, ``accel_shift``), interpolated to the rows; which rows both sensors reach."""
+    shifts = [parse(part.settings.get(f"{role}_shift", "0 s"), "s") for role in ("gyro", "accel")]
+    if not any(shifts):
+        return slice(None), gyro, accel
+    low, high = np.searchsorted(t, t[0] + max(*shifts, 0.0)), np.searchsorted(t, t[-1] + min(*shifts, 0.0), "right")
+    if high - low < 3:
+        raise InputError(
+            f"moves a sensor by {max(shifts, key=abs):.6g} s, more than the record of {t[-1] - t[0]:.6g} s holds",
+            where=part.table.name,
+        )
+    inside = slice(int(low), int(high))
+    story.taken += [
+        f"{name} moved by {shift:+.6g} s and interpolated"
+        for name, shift in zip(("gyroscope", "accelerometer"), shifts, strict=True)
+        if shift
+    ]
+    moved = [
+        v[inside] if not shift else np.column_stack([np.interp(t[inside], t + shift, c) for c in v.T])
+        for v, shift in zip((gyro, accel), shifts, strict=True)
+    ]
+    return inside, *moved
 
 
 def _rows(part: Columns, rows: NDArray[np.intp]) -> Columns:

@@ -130,7 +130,7 @@ def converted(t: Array, given: str, wanted: str, near: float) -> tuple[Array, st
     if given == "gps" and wanted == "sow":
         week = np.round((float(t[0]) - near) / WEEK)
         t = t - week * WEEK
-        done.append(f"GPS week {int(week)} taken off")
+        done.append(f"GPS week {int(week)} removed")
     elif given == "sow" and wanted == "gps":
         week = np.round((near - float(t[0])) / WEEK)
         t = t + week * WEEK

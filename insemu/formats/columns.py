@@ -41,6 +41,8 @@ SETTINGS: Mapping[str, str] = {
     "origin": "latitude and longitude in deg and height in m of local coordinates, such as 48.1 11.5 500",
     "mount": "roll, pitch and yaw from IMU to vehicle axes in deg, such as 180 0 90",
     "shift": "seconds to add to the stamps of the IMU, such as -0.2 s",
+    "gyro_shift": "seconds to add to the stamps of the gyroscope alone, where it comes late against the accelerometer",
+    "accel_shift": "seconds to add to the stamps of the accelerometer alone",
     "gnss_shift": "seconds to add to the stamps of the fixes",
     "gnss_move": "metres north, east and down to move the positions of the fixes by, such as 0 0 -47.3",
     "from": "first time to keep, s from the start of the recording",
@@ -56,7 +58,7 @@ SETTINGS: Mapping[str, str] = {
     "pos_unit": "what latitude and longitude really are: deg, rad, 1e-7 deg, ddmm (4530.5) or dd.mm (45.305)",
     "vel_unit": "what the velocities really are, such as knots",
     "velocity": "ned, enu or neu: what the three components of the velocity really are",
-    "latlon": "swapped, where the latitude stands in the column of the longitude; west, where longitudes count west",
+    "latlon": "swapped, where the latitude stands in the column of the longitude; west or south, where longitudes count west or latitudes south",
     "height_unit": "what the heights really are, such as ft",
     "gyro_axes": "which columns of the gyroscope are x, y and z, such as y x z or -x -y -z",
     "accel_axes": "which columns of the accelerometer are x, y and z, such as x -y z",
@@ -68,7 +70,7 @@ UNIT_SETTING: Mapping[str, str] = {
     "height": "height_unit", "vel_ned": "vel_unit", "vel_enu": "vel_unit", "vel_neu": "vel_unit", "speed": "vel_unit",
 }  # fmt: skip
 _CHOICES = {
-    "latlon": ("swapped", "west", "as stated"),
+    "latlon": ("swapped", "west", "south", "as stated"),
     "velocity": ("ned", "enu", "neu"),
     "kind": ("sample", "mean", "increment"),
     "attitude": ("ned", "enu"),
@@ -152,7 +154,7 @@ def _setting(key: str, value: str, where: str) -> str:
     role = next((r for r, k in UNIT_SETTING.items() if k == key), None)
     if role is not None and not (key == "pos_unit" and value in ("ddmm", "dd.mm")):
         _check_unit(role, value, where)
-    if key in ("shift", "gnss_shift", "from", "to", "rate"):
+    if key in ("shift", "gyro_shift", "accel_shift", "gnss_shift", "from", "to", "rate"):
         parse(value, "Hz" if key == "rate" else "s")
     return value
 
@@ -224,7 +226,7 @@ def preset_beside(path: Path) -> Path:
 
 
 def read_preset(path: Path) -> ColumnMap | None:
-    """The map that stands beside a file as ``NAME.map.yaml`` (or in its folder as ``map.yaml``), if there is one.
+    """The map that stands next to a file as ``NAME.map.yaml`` (or in its folder as ``map.yaml``), if there is one.
 
     Raises
     ------
@@ -244,7 +246,7 @@ def read_preset(path: Path) -> ColumnMap | None:
 
 
 def write_preset(path: Path, used: ColumnMap) -> Path:
-    """Write a map beside a file (``NAME.map.yaml``), so that it needs no option any more."""
+    """Write a map next to a file (``NAME.map.yaml``), so that it needs no option any more."""
     import yaml
 
     target = path / "map.yaml" if path.is_dir() else preset_beside(path)
@@ -326,6 +328,8 @@ def words_of(name: str) -> list[str]:
 _GYRO_WORDS = {"gyro", "gyr", "gyroscope", "omega", "angvel", "gyros", "angrate", "rotationrate", "gyroscopes"}
 _ACCEL_WORDS = {"accel", "acc", "acceleration", "accelerometer", "accelerometers", "accelerations"}
 _NOT = set("mag magnetometer bias std sigma cov covariance user gravity error quat clipping orientation".split())
+_VELOCITIES, _SPREADS = {"vel", "velocity", "v"}, {"std", "sigma"}
+_REFERENCES = {"truth", "true", "ref", "reference"}
 _SHORT = {
     "gyro": (("gx", "gy", "gz"), ("wx", "wy", "wz"), ("p", "q", "r")),
     "accel": (("ax", "ay", "az"), ("fx", "fy", "fz")),
@@ -454,6 +458,7 @@ def guess_map(names: Sequence[str], columns: Sequence[NDArray[np.float64]] | Non
             if all(t in low for t in triple) and not (role == "vel_enu" and "vel_ned" in picks):
                 picks[role] = tuple(Pick(names[low.index(t)]) for t in triple)
                 break
+    picks = _framed(names) | picks
     taken = {p.column for ps in picks.values() for p in ps}
     for role, options in _SINGLE.items():
         for wanted in options:
@@ -473,6 +478,25 @@ def guess_map(names: Sequence[str], columns: Sequence[NDArray[np.float64]] | Non
             picks.pop(role, None)
     back = dict(zip(reversed(names), reversed(written), strict=True))
     return ColumnMap({r: tuple(replace(p, column=back[p.column]) for p in ps) for r, ps in picks.items()})
+
+
+def _framed(names: Sequence[str]) -> dict[str, tuple[Pick, ...]]:
+    """Vectors of fixes whose names say what they are and in which frame, with a number or x, y, z for each component: ``vel_ned_0``."""
+    groups: dict[str, dict[str, str]] = {}
+    for name in names:
+        *stem, axis = words_of(name) or [""]
+        said, spread = set(stem), bool(set(stem) & _SPREADS)
+        what = "vel" if said & _VELOCITIES else "pos" if spread and said & {"pos", "position"} else ""
+        for frame in (
+            sorted(said & {"ned", "enu", "neu"}) if what and not said & (_NOT - _SPREADS | _REFERENCES) else ()
+        ):
+            role = f"{what}_std_{frame}" if spread else f"{what}_{frame}"
+            groups.setdefault(role, {}).setdefault({"0": "x", "1": "y", "2": "z"}.get(axis, axis), name)
+    return {
+        role: tuple(Pick(axes[a]) for a in "xyz")
+        for role, axes in groups.items()
+        if role in ROLES and {*"xyz"} <= set(axes)
+    }
 
 
 def _time(names: Sequence[str], columns: Sequence[NDArray[np.float64]] | None) -> int | None:

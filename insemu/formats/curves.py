@@ -1,4 +1,4 @@
-"""Variance curves made elsewhere, to be drawn beside ours: our own JSON, or a file of sensors with ``wvar`` by axis."""
+"""Variance curves made elsewhere, to be drawn next to ours: our own JSON, or a file of sensors with ``wvar`` by axis."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def read_fitted(path: str | Path) -> dict[str, Fitted]:
 def _fitted(model: NoiseModel, said: Mapping[str, Any]) -> Fitted:
     unsure = set(said.get("not_determined") or ())
     parts = enumerate(model.indexed())
-    # white noise that another part cannot be told from stays: its density is then that of the curve
+    # white noise that another part cannot be distinguished from stays: its density is then that of the curve
     weak = tuple(k for k, (i, p) in parts if process_label(p.symbol, i) in unsure and p.symbol != "WN")
     rate, count, curve = said.get("rate_hz"), said.get("n_samples"), said.get("allan_deviation") or {}
     return Fitted(

@@ -83,7 +83,7 @@ class Opened:
     repeated, missing : int
         Rows that were left out: of fixes those that share a stamp with another, and those without a number.
     aids : tuple of AidRecord
-        Measurements beside IMU and fixes, as they are in the file.
+        Measurements other than IMU and fixes, as they are in the file.
     initial : InitialState, optional
         Where a filter may start.
     preparation : Preparation, optional
@@ -170,7 +170,7 @@ def open_files(
     gnss, truth : path, optional
         Files with the fixes and the reference, where they are apart.
     maps : three maps or their lines
-        Column maps of the three files, over the preset beside each (``NAME.map.yaml``) and what the format says.
+        Column maps of the three files, over the preset next to each (``NAME.map.yaml``) and what the format says.
 
     Returns
     -------
@@ -265,7 +265,7 @@ def _read(path: Path, given: str | ColumnMap, story: Story) -> _File:
     preset = read_preset(path)
     if preset is not None:
         user = user.over(preset)
-        story.notes.append(f"the column map beside {path.name} was used")
+        story.notes.append(f"the column map next to {path.name} was used")
     reader = reader_of(path)
     if reader is None:
         raise InputError(

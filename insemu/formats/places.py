@@ -28,8 +28,8 @@ def positions(part: Columns, story: Story) -> Array | None:
             story.assumed.append(f"height 0 m: {part.table.name} has none")
             height = np.zeros(part.t.size)
         first, second = ("lon", "lat") if part.settings.get("latlon") == "swapped" else ("lat", "lon")
-        east = -v[second] if part.settings.get("latlon") == "west" else v[second]
-        llh = np.column_stack([v[first], east, height])
+        sign = {"south": (-1.0, 1.0), "west": (1.0, -1.0)}.get(part.settings.get("latlon", ""), (1.0, 1.0))
+        llh = np.column_stack([sign[0] * v[first], sign[1] * v[second], height])
         check_latitude(llh, part.table.name)
         return llh
     if "ecef" in v:

@@ -5,7 +5,7 @@ middle or end: how the sensor samples, where somebody says so), ``imu_t``, ``imu
 ``temperature``; ``gnss_t``, ``gnss_llh`` (deg, deg, m), optionally ``gnss_vel_ned``, ``gnss_pos_std_ned``, ``gnss_vel_std_ned``;
 ``ref_t``, ``ref_llh``, ``ref_vel_ned``, ``ref_rpy_deg`` (at ``ref_att_t`` where attitudes have their own times). A key that ends in
 ``_neu`` is the same with up instead of down. A state to start from may be given: ``initial_t``, ``initial_llh`` (deg, deg, m),
-``initial_vel_ned``, ``initial_rpy_deg``, ``initial_sigma`` (nine: m, m/s, deg). Measurements beside the fixes, NAME of docs/filters.md,
+``initial_vel_ned``, ``initial_rpy_deg``, ``initial_sigma`` (nine: m, m/s, deg). Measurements other than the fixes, NAME of docs/filters_aids.md,
 "Aids": ``aid_NAME_t`` (n,), ``aid_NAME`` and ``aid_NAME_std`` (n, rows), optionally ``aid_NAME_settings`` and ``aid_NAME_since`` (n,), SI.
 What was done to it before: ``prepared_imu_late`` (s), ``prepared_said`` (text), ``prepared_gnss_t``, ... (the fixes as they were recorded).
 Times count from ``origin_ns`` (whole ns) of ``origin_clock`` (gps, sow, unix; "" of a clock of the device's own) where a file states them;
@@ -171,7 +171,7 @@ def besides_of(path: Path) -> Besides:
 
 
 def _aids(arrays: Mapping[str, NDArray[Any]], source: str) -> tuple[AidRecord, ...]:
-    """Measurements beside the fixes; see the module. What kinds there are is the filter's to know."""
+    """Measurements other than the fixes; see the module. What kinds there are is the filter's to know."""
     out = []
     for name in sorted(k[4:-2] for k in arrays if k.startswith("aid_") and k.endswith("_t")):
         known = {k: numbers(arrays[f"aid_{name}{k}"], f"{source}: aid_{name}{k}")
@@ -413,7 +413,7 @@ def _group(file: Path, group: str, keys: Mapping[str, tuple[str, ...]]) -> dict[
             out[key] = block_of_key[:, 0] if len(names) == 1 else block_of_key
         elif present and not (key.endswith(("_ned", "_neu")) and set(present) <= {"vn", "ve"}):
             missing = next(n for n in names if n not in columns)
-            raise InputError(f"has no column '{missing}' beside {', '.join(present)}", where=str(file))
+            raise InputError(f"has no column '{missing}' next to {', '.join(present)}", where=str(file))
     if "imu" in out and any(units.values()):
         out["imu_units"] = np.array([units[c] or ("rad/s" if c[0] == "g" else "m/s^2") for c in COLUMNS])
     return out

@@ -124,7 +124,7 @@ class Log:
         if rows[-1] + 1 - len(self) > MOST_MISSING * len(self):
             row, duration = max(gaps, key=lambda gap: gap[1])
             raise InputError(
-                f"{rows[-1] + 1 - len(self)} samples are missing beside the {len(self)} that are there, the longest gap {duration:.6g} s "
+                f"{rows[-1] + 1 - len(self)} samples are missing in addition to the {len(self)} that are there, the longest gap {duration:.6g} s "
                 f"before data row {row}; expected one log (cut the file there)",
                 where=self.source,
             )

@@ -106,7 +106,7 @@ def _head(path: Path, _changed: int) -> bytes:
     return head_of(path)
 
 
-#: What a recording may hold beside IMU, fixes and reference.
+#: What a recording may hold together with IMU, fixes and reference.
 Besides = tuple[tuple[AidRecord, ...], InitialState | None, Preparation | None]
 
 

@@ -83,7 +83,7 @@ def way_of(
 
 
 def _tum(way: Way, path: Path) -> None:
-    """Local east-north-up about the first position, body forward-left-up; standard deviations in ``NAME.cov.csv`` beside it."""
+    """Local east-north-up about the first position, body forward-left-up; standard deviations in ``NAME.cov.csv`` next to it."""
     if way.rpy is None:
         raise InputError("has no attitude, which a TUM trajectory needs", where=str(path))
     ned = earth.llh_to_ned(way.llh, way.llh[0])

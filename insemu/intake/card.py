@@ -37,7 +37,7 @@ class Line:
     mend: str = ""
 
     def __str__(self) -> str:
-        return f"{MARKS[self.level]} {self.topic}: {self.text}" + (f". Mend: {self.mend}" if self.mend else "")
+        return f"{MARKS[self.level]} {self.topic}: {self.text}" + (f". Correction: {self.mend}" if self.mend else "")
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,9 @@ class Card:
         """
         wrong = self.of("wrong")
         if wrong:
-            said = "; ".join(f"{w.topic}: {w.text}" + (f". Mend: {self.command(w)}" if w.mend else "") for w in wrong)
+            said = "; ".join(
+                f"{w.topic}: {w.text}" + (f". Correction: {self.command(w)}" if w.mend else "") for w in wrong
+            )
             raise InputError(f"{said}{PAST}", where=self.source)
         return self
 
@@ -70,7 +72,7 @@ class Card:
         """The command that mends a finding."""
         if not line.mend.startswith("--"):
             return line.mend
-        return f"insemu open {self.source.split(', ')[0]} {line.mend} -o mended.npz"
+        return f"insemu open {self.source.split(', ')[0]} {line.mend} -o corrected.npz"
 
     def accepted(self) -> Card:
         """The card of a recording that was declared right: what contradicts physics is worth a look."""

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 #: Shortest time offset that is named, s, and the log-likelihood that it must gain.
 OFFSET, OFFSET_NATS = 0.15, 25.0
-#: The same beside a lever arm, which is one number more: chi-square of 12 with one degree of freedom, 1 in 2,000.
+#: The same together with a lever arm, which is one number more: chi-square of 12 with one degree of freedom, 1 in 2,000.
 ARM_NATS = 6.0
 #: Constant between fixes and reference, m, above which it is named, and the fewest fixes: no antenna is so far from an IMU, no standalone fix is off
 #: that far on the mean.
@@ -91,7 +91,7 @@ def together(imu: ImuRecord, gnss: GnssRecord | Trajectory, what: str) -> list[L
 def against_reference(gnss: GnssRecord, reference: Trajectory) -> list[Line]:
     """A constant between the fixes and the reference: another datum, or heights above sea level.
 
-    What the clock does goes with the velocity, which is fitted beside the constant: on a straight way at one speed nothing tells them apart.
+    What the clock does goes with the velocity, which is fitted together with the constant: on a straight way at one speed nothing tells them apart.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def against_reference(gnss: GnssRecord, reference: Trajectory) -> list[Line]:
         return []
     what = "another datum"
     if plain.tolist() == [False, False, True]:
-        what = "heights above sea level beside heights above the ellipsoid, or another datum"
+        what = "heights above sea level and heights above the ellipsoid, or another datum"
     sides = (("north of", "south of"), ("east of", "west of"), ("below", "above"))
     where = ", ".join(f"{abs(apart[k]):.1f} m {sides[k][int(apart[k] < 0.0)]}" for k in np.flatnonzero(plain))
     text = f"all along the fixes lie {where} it, the antenna's place included (scatter {spread.max():.2g} m): {what}"
@@ -168,7 +168,7 @@ def slope(turn: Turn | None) -> list[Line]:
 def weighed(
     imu: ImuRecord, gnss: GnssRecord, found: Agreement | None, units: Mapping[str, str], turn: Turn | None
 ) -> tuple[list[Line], bool]:
-    """What all readings of the IMU say beside the fixes, and whether the declared one stands.
+    """What all readings of the IMU say together with the fixes, and whether the declared one stands.
 
     Parameters
     ----------

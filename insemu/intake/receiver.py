@@ -63,6 +63,7 @@ _READINGS: dict[str, Callable[[Array], Array]] = {
     "as declared": lambda v: v,
     "velocity=enu": lambda v: v[:, [1, 0, 2]] * [1.0, 1.0, -1.0],
     "latlon=west": lambda v: v * [1.0, -1.0, 1.0],
+    "latlon=south": lambda v: v * [-1.0, 1.0, 1.0],
     "speed and course": lambda v: np.column_stack([v[:, 0] * np.cos(v[:, 1]), v[:, 0] * np.sin(v[:, 1]), v[:, 2]]),
     "speed and course in deg": lambda v: _READINGS["speed and course"](v * [1.0, np.pi / 180.0, 1.0]),
 }
@@ -82,7 +83,8 @@ def agreement(gnss: GnssRecord) -> Agreement | None:
         out["latlon=swapped"] = _fit(swapped, own, own.velocity, floor)
     if not out or not np.isfinite(out["as declared"][1]):
         return None
-    best = min(out, key=lambda n: out[n][1])
+    # a reading and its negative leave the same: one that points backwards explains nothing
+    best = min(out, key=lambda n: out[n][1] if out[n][0] > 0.0 else np.inf)
     declared = out["as declared"]
     return Agreement(*declared, best, *out[best], _climbing(gnss, own), _turned(moved, own, declared[1]))
 
@@ -152,6 +154,7 @@ _MEANT = {
     "velocity=enu": "the velocities are east, north, up",
     "latlon=swapped": "latitude and longitude are swapped",
     "latlon=west": "longitudes count west",
+    "latlon=south": "latitudes count south",
     "speed and course": "the columns are speed and course (rad)",
     "speed and course in deg": "the columns are speed and course (deg)",
 }
@@ -223,11 +226,11 @@ def _velocities(gnss: GnssRecord, found: Agreement | None, unstated: bool) -> li
                 "north, east, down; too little motion to hold it against the positions",
             )
         ]
-    left = f"{100 * np.sqrt(found.residual):.0f} % of the motion of the positions is left"
+    off = f"they differ by {100 * np.sqrt(found.residual):.0f} % of the motion of the positions"
     if found.best != "as declared" and found.best_residual < 0.3 * found.residual and found.residual > 0.1:
         what = _MEANT[found.best]
-        if near(abs(found.best_scale), 1.0, NEAR):
-            text = f"{left} by the declared velocities, {100 * np.sqrt(found.best_residual):.0f} % if {what}"
+        if near(found.best_scale, 1.0, NEAR):
+            text = f"{off}, as declared, and by {100 * np.sqrt(found.best_residual):.0f} % if {what}"
             return [Line("velocity", "wrong", text, f'--map "{found.best}"' if "=" in found.best else "")]
     if found.residual < 0.2 and not near(found.scale, 1.0, NEAR):
         for factor, unit in _SPEEDS:
@@ -243,7 +246,7 @@ def _velocities(gnss: GnssRecord, found: Agreement | None, unstated: bool) -> li
         return [Line("velocity", "odd", "the velocities are zero while the positions move")]
     level: Level = "ok" if found.residual < 0.3 else "odd"
     word = "agrees" if level == "ok" else "does not agree"
-    return [Line("velocity", level, f"it {word} with the motion of the positions: {left}")]
+    return [Line("velocity", level, f"it {word} with the positions: {off}")]
 
 
 def heights(gnss: GnssRecord, found: Agreement | None, opposite: float) -> list[Line]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from insemu.errors import InputError
 from insemu.intake.card import Level, Line
-from insemu.intake.explained import Explained, Reading, Windows
+from insemu.intake.explained import DECLARED, Explained, Reading, Windows
 from insemu.units import scaled_unit
 
 Array = NDArray[np.float64]
@@ -41,8 +41,12 @@ OFFSET, SHIFT, SHIFT_STEP = 0.1, 0.2, 0.02
 DRIFT = 0.4
 #: Course and heading differ so much at least, m/s across.
 SLIP = 0.2
-#: Delays that are tried, s.
-LAGS = (-0.5, -0.3, -0.2, 0.2, 0.3, 0.5)
+#: Delays of one sensor that are tried, s, and their step, which is halved about the best one.
+DELAYS, DELAY_STEP = (-0.5, -0.3, -0.1, 0.1, 0.3, 0.5), 0.2
+#: Settings of fixes whose hemisphere was lost, and what they mean.
+SIDES = {"west": "longitudes count west", "south": "latitudes count south"}
+#: Settings' name of a sensor -> its name.
+SENSORS = {"gyro": "gyroscope", "accel": "accelerometer"}
 #: Units that gyroscopes and accelerometers are written in.
 GYRO_UNITS = ("rad/s", "deg/s", "mrad/s", "mdps", "rpm", "rev/s", "deg/h", "rad/h", "57.29578 rad/s")
 ACCEL_UNITS = ("m/s^2", "g", "mg", "ug", "mm/s^2", "cm/s^2", "ft/s^2", "0.1019716 m/s^2")
@@ -181,7 +185,10 @@ class Weighing:
         turn: Turning | None = None,
         others: Mapping[str, Explained] | None = None,
     ) -> None:
-        self.velocities, self.turn, self.others = velocities, turn, others or {}
+        self.velocities, self.turn = velocities, turn
+        # swapped, a way turns the other way round, as one that is mirrored east
+        mirrored = turn.nats(replace(DECLARED, east=-1.0)) if turn is not None else 0.0
+        self.others = {k: replace(e, turned=mirrored) for k, e in (others or {}).items()}
         self.hint = turn.shift if turn is not None else 0.0
         self.windows, self.kind, self.dt = windows, kind, dt
         self._few = windows.fewer(SCREENED)
@@ -216,14 +223,14 @@ class Weighing:
 
     def best(self) -> list[Named]:
         """Readings that explain more than the declared one, the best first and those that are as good; none where there is none."""
-        found = [*self._shifts(), *self._units()]
+        found = [*self._shifts(), *self._units(), *self._delays()]
         if not any(self.fine(n.found) for n in found):
             top = max(found, key=lambda n: n.found.nats)
             found += self._orders(None)
             if better(top.found, max(self.declared, *(n.found for n in found if n is not top), key=lambda e: e.nats)):
                 found += self._orders(top)
         if not any(self.fine(n.found) for n in found):
-            found += self._clocks() + self._scales()
+            found += self._other_sides() + self._scales()
         found += [Named({"latlon": "swapped"}, _MEANS[k], e) for k, e in self.others.items()]
         good = sorted((n for n in found if better(n.found, self.declared)), key=lambda n: -n.found.total)
         equal = [n for n in good if not better(good[0].found, n.found)] if good else []
@@ -326,18 +333,30 @@ class Weighing:
         said = f"the fixes are {abs(s):.2f} s {'late' if s < 0 else 'early'} against the IMU{leap}"
         return [Named({"gnss_shift": f"{s:+.2f} s"}, said, best)]
 
-    def _clocks(self) -> list[Named]:
-        """Readings with one sensor late, and with the fixes on the other side of Greenwich."""
+    def _other_sides(self) -> list[Named]:
+        """Readings with the fixes on the other side of Greenwich or the equator, where no velocities say on which they are: they move alike."""
+        if self.velocities:
+            return []
+        found = self.score(np.eye(3), np.eye(3), east=-1.0)
+        return [Named({"latlon": side}, means, found) for side, means in SIDES.items()]
+
+    def _delayed(self, sensor: str, late: float) -> Explained:
+        """Score with one sensor late; a late gyroscope is an early accelerometer and early fixes."""
         eye = np.eye(3)
-        out = (
-            []
-            if self.velocities
-            else [Named({"latlon": "west"}, "longitudes count west", self.score(eye, eye, east=-1.0))]
-        )
-        best = max((self.score(eye, eye, lag=lag) for lag in LAGS), key=lambda e: e.nats)
-        late = "late" if best.reading.lag < 0 else "early"
-        said = f"the accelerometer comes about {abs(best.reading.lag):.1f} s {late} against the gyroscope"
-        return [*out, Named({}, said, best)]
+        return self.score(eye, eye, lag=-late) if sensor == "accel" else self.score(eye, eye, lag=late, shift=late)
+
+    def _delays(self) -> list[Named]:
+        """Readings with one sensor late or early against the other one and the fixes."""
+        out = []
+        for sensor, name in SENSORS.items():
+            late = max(DELAYS, key=lambda d: self._delayed(sensor, d).nats)
+            step = 0.5 * DELAY_STEP
+            while step >= SHIFT_STEP:
+                late = max((late, late - step, late + step), key=lambda d: self._delayed(sensor, d).nats)
+                step *= 0.5
+            said = f"the {name} comes {abs(late):.2f} s {'late' if late > 0 else 'early'}"
+            out.append(Named({f"{sensor}_shift": f"{-late:+.2f} s"}, said, self._delayed(sensor, late)))
+        return out
 
     def _scales(self) -> list[Named]:
         """The factor of the rates that explains most, where it is no unit."""
@@ -361,20 +380,20 @@ class Weighing:
         )
         best = self.best() if doubted else []
         w = self.windows
-        left = (
-            f"{self.declared.rms:.2g} m/s of the velocities of the fixes are left ({w.count} windows of {w.length:.0f} s; "
-            f"{self.unrelated.rms:.2g} by unrelated ones)"
+        fit = (
+            f"the IMU predicts the velocities of the fixes to {self.declared.rms:.2g} m/s (median of {w.count} windows of "
+            f"{w.length:.0f} s; {self.unrelated.rms:.2g} m/s for fixes of other windows)"
         )
         if best and self.explains(best[0].found):
-            return [self._rival(best, left)], False
+            return [self._rival(best, fit)], False
         if not self.explains(self.declared):
-            text = f"{left}: gyroscope, accelerometer and fixes contradict each other, and no unit, order or sign that was tried makes them agree"
+            text = f"{fit}: gyroscope, accelerometer and fixes contradict each other, and no unit, order or sign that was tried makes them agree"
             return [Line("motion", "wrong", text)], False
         if not self.moves(self.declared):
-            text = f"not checkable: what the IMU says of the motion is no larger than the noise of the fixes ({left})"
+            text = f"not checkable: what the IMU says of the motion is no larger than the noise of the fixes ({fit})"
             return [Line("motion", "assumed", text)], True
         out = [
-            Line("motion", "ok", f"gyroscope and specific force explain the velocities of the fixes: {left}"),
+            Line("motion", "ok", f"gyroscope and specific force explain the motion of the fixes: {fit}"),
             *self._power(),
         ]
         return [*out, self._clock()], True
@@ -400,12 +419,12 @@ class Weighing:
         """Whether a reading leaves no more than the noise of the fixes."""
         return bool(-found.nats / found.count < 0.5 * WRONG_EACH)
 
-    def _rival(self, best: list[Named], left: str) -> Line:
+    def _rival(self, best: list[Named], fit: str) -> Line:
         means = [n.means for n in best]
         what = means[0] if len(best) == 1 else "one of these, which nothing here distinguishes: " + "; or ".join(means)
         plain = best[0].found.total - self.declared.total > PLAIN and "gnss_shift" not in best[0].settings
         level: Level = "wrong" if plain or not self.explains(self.declared) else "odd"
-        text = f"{left}, {best[0].found.rms:.2g} m/s if {what}"
+        text = f"{fit}, and to {best[0].found.rms:.2g} m/s if {what}"
         return Line("motion", level, text, best[0].command if len(best) == 1 else "")
 
     def _simple(self) -> dict[str, Explained]:
@@ -418,7 +437,11 @@ class Weighing:
             "accelerometer opposite": self.score(eye, -eye),
             "accelerometer x opposite": self.score(eye, _ORDERS["-x y z"]),
             "accelerometer y opposite": self.score(eye, _ORDERS["x -y z"]),
-            "sensors 0.3 s apart": self.score(eye, eye, lag=-0.3),
+            **{
+                f"{name} 0.3 s {word}": self._delayed(sensor, late)
+                for sensor, name in SENSORS.items()
+                for word, late in (("late", 0.3), ("early", -0.3))
+            },
         }
 
     def _power(self) -> list[Line]:
@@ -457,7 +480,7 @@ def _means_units(settings: Mapping[str, str], size: float) -> str:
 
 
 def _means_order(sensor: str, text: str) -> str:
-    name = {"gyro": "gyroscope", "accel": "accelerometer"}[sensor]
+    name = SENSORS[sensor]
     if text == _OPPOSITE:
         return f"the {name} has the opposite sign on all axes"
     return f"x, y and z of the {name} are its columns {text}"

@@ -28,7 +28,7 @@ def sections(poles: ArrayLike, factor: ArrayLike) -> tuple[Array, Array, Array]:
     Parameters
     ----------
     poles : (k,) array
-        Roots of the autoregressive polynomial, pairs beside each other.
+        Roots of the autoregressive polynomial, pairs side by side.
     factor : (n,) array
         Factors of the time constants of the poles, one per step.
 

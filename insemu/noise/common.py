@@ -1,4 +1,4 @@
-"""What any process may have beside its parameters: a name under which axes share it, and a covariate that it follows."""
+"""What any process may have next to its parameters: a name under which axes share it, and a covariate that it follows."""
 
 from __future__ import annotations
 

@@ -21,9 +21,9 @@ from insemu.noise import grammar
 Array = NDArray[np.float64]
 Domain = Literal["positive", "rate", "time", "frequency", "real", "correlation", "coefficient"]
 
-#: Seconds in the unit of a level beside the signal's: the power of the sampling interval that makes it one of samples.
+#: Seconds in the unit of a level together with the signal's: the power of the sampling interval that makes it one of samples.
 _SECONDS = {"{u}/sqrt(Hz)": 0.5, "({u})*s": 1.0, "{u}*sqrt(Hz)": -0.5, "{u}/s": -1.0}
-#: Correlation times are searched up to this many record lengths: beyond, a process cannot be told from a random walk.
+#: Correlation times are searched up to this many record lengths: beyond, a process cannot be distinguished from a random walk.
 LONGEST_RECORDS = 20.0
 #: Largest value of a parameter, and one over the smallest of a rate, time or frequency: beyond, squares and products are no numbers.
 LARGEST = 1e100

@@ -360,7 +360,7 @@ class NoiseModel:
     Parameters
     ----------
     processes : tuple of Process
-        In the order given; repeated processes are told apart by their index among their kind, from 1.
+        In the order given; repeated processes are distinguished by their index among their kind, from 1.
 
     Examples
     --------

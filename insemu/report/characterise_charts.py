@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Curve = tuple[Array, Array]
 
 _SHOWN = {"rad/s": "deg/h", "m/s^2": "mg"}
-#: Units that manufacturers' logs have, beside other sensors.
+#: Units that manufacturers' logs have, those of other sensors too.
 _MAKERS = {"rad/s": "deg/s", "m/s^2": "g"}
 _SLOPES = {"Q": -1.0, "N": -0.5, "B": 0.0, "K": 0.5, "R": 1.0}
 #: Intervals of fewer equivalent degrees of freedom reach over decades and say nothing.
@@ -105,7 +105,7 @@ def _view(name: str, y_label: str, lines: Sequence[Line], curves: Sequence[Curve
 
 
 def allan_chart(axes: Sequence[AxisReport], of: str = "") -> Chart:
-    """Allan deviations with their intervals: the axes of each sensor beside each other, and each axis with the slopes that were read from it.
+    """Allan deviations with their intervals: the axes of each sensor side by side, and each axis with the slopes that were read from it.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def wavelet_chart(members: Sequence[AxisReport], of: str, beside: Sequence[Named
 
 
 def spectrum_chart(members: Sequence[AxisReport], of: str) -> Chart:
-    """One-sided root PSD of the columns of a sensor: averaged periodograms beside each other, and each with octave levels from the wavelet variance.
+    """One-sided root PSD of the columns of a sensor: averaged periodograms side by side, and each with octave levels from the wavelet variance.
 
     Parameters
     ----------
@@ -246,7 +246,7 @@ def trend_chart(members: Sequence[AxisReport], of: str) -> Chart:
 
 
 def correlation_chart(members: Sequence[AxisReport], of: str) -> Chart:
-    """Autocorrelation of the columns of a sensor: de-noised beside each other, and each before and after de-noising.
+    """Autocorrelation of the columns of a sensor: de-noised side by side, and each before and after de-noising.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ def correlation_chart(members: Sequence[AxisReport], of: str) -> Chart:
         c = axis.correlation
         lines = [Line("as it is", c["raw"], COLOURS[0]), Line("after wavelet de-noising", c["de-noised"], COLOURS[1])]
         views.append(View(axis.name, "autocorrelation", lines, x=c["lag_s"]))
-    caption = "Autocorrelation before and after wavelet de-noising (db4, six octaves, soft, SURE): what is left is the slow noise."
+    caption = "Autocorrelation before and after wavelet de-noising (db4, six octaves, soft, SURE): the rest is the slow noise."
     return Chart(_named("Correlation", of), caption, None, "lag (s)", views, group="lag")
 
 

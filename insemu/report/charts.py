@@ -20,7 +20,7 @@ from insemu.units import datasheet
 
 #: Significant digits of the numbers in a page: a screen shows less. Points in a plane need more: a map is read to the metre.
 DIGITS, PLANE_DIGITS = 4, 6
-#: Lines whose values are told to those who cannot see the chart.
+#: Lines whose values are reported to those who cannot see the chart.
 MOST_SAID = 6
 #: Colours of what belongs to no design, and of what must be seen.
 GREY, INK, RED = "#8A94A0", "#5B6675", "#D00000"
@@ -124,7 +124,7 @@ class Chart:
     Parameters
     ----------
     name : str
-        Of the figure; the static pictures beside the page are called after it.
+        Of the figure; the static pictures next to the page are called after it.
     caption : str
         What is seen, with the finding; also for readers who cannot see it.
     x : (n,) array, optional

@@ -1,4 +1,4 @@
-"""The pages of designs beside each other, and of designs beside their baseline."""
+"""The pages of designs side by side, and of designs together with their baseline."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def comparison_rows(rows: Sequence[ComparisonRow]) -> Table:
 
 
 def _difference(row: ComparisonRow) -> tuple[str, str]:
-    """A design beside the base in words, and the tone of that."""
+    """A design together with the base in words, and the tone of that."""
     found = row.pair
     if found is None:
         return "the base", "plain"
@@ -95,7 +95,7 @@ def render_comparison(
         notes = [f"rank {r.rank}" + ("" if r.low is None else f"; ratio {r.ratio:.3f} ({r.low:.3f} to {r.high:.3f})")]
         cards.append(page.Card(r.design, f"{r.mean_m:.3g} m", word[:1].upper() + word[1:], tone, notes))
     return page.render(
-        f"Designs beside each other: {results.title}",
+        f"Designs side by side: {results.title}",
         [
             page.Section(
                 "Ratios", [_ratio_chart(rows, results.names, base), page.Table(*comparison_rows(rows), COLUMNS)]

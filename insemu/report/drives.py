@@ -17,10 +17,10 @@ SHOWN = ((0.5, 2.0), (2.0, 8.0), (8.0, 30.0))
 
 
 def drives_word(found: Comparison) -> tuple[str, str]:
-    """Whether an emulated drive can be told from a recorded one, and the tone of a card."""
+    """Whether an emulated drive can be distinguished from a recorded one, and the tone of a card."""
     if found.everything.low > 0.75:
-        return "easily told from", "bad"
-    return ("told from", "warn") if found.everything.low > 0.5 else ("not told from", "good")
+        return "easily distinguished from", "bad"
+    return ("distinguished from", "warn") if found.everything.low > 0.5 else ("not distinguished from", "good")
 
 
 def drives_answer(found: Comparison) -> str:
@@ -28,7 +28,7 @@ def drives_answer(found: Comparison) -> str:
     bands = f"; {found.alike} of {len(found.bands)} bands within {ALIKE_DB:g} dB" if found.bands else ""
     return (
         f"The emulated drive is {drives_word(found)[0]} the recorded one: area under the curve {found.powers} by powers of bands, "
-        f"{found.everything} by everything (0.5: nothing tells, 1: always told){bands}."
+        f"{found.everything} by everything (0.5: no difference, 1: always a difference){bands}."
     )
 
 
@@ -70,13 +70,13 @@ def render_drives(found: Comparison, path: str | Path, recorded: str, emulated: 
     ]
     words = (
         "Boosted trees see windows of 4 s and say which of two is emulated; the area under their curve is how often they are right. "
-        "Root mean squares are of the windows, regimes counted alike; a feature's own area is below 0.5 where the emulated drive shows less of it."
+        "Root mean squares are of the windows, regimes with equal weights; a feature's own area is below 0.5 where the emulated drive shows less of it."
     )
     header, rows = (
         ["regime", "recorded, s", "emulated, s"],
         [[k, f"{a:g}", f"{b:g}"] for k, (a, b) in found.seconds.items()],
     )
-    caption = f"Emulated over recorded power in dB and the recorded root mean square, in regimes of 30 s and more; alike is within {ALIKE_DB:g} dB."
+    caption = f"Emulated over recorded power in dB and the recorded root mean square, in regimes of 30 s and more; equal means within {ALIKE_DB:g} dB."
     sections = [
         Section(
             "What gives it away",
@@ -115,7 +115,7 @@ def vehicle_lines(found: LearnedVehicle) -> list[str]:
     s = found.sideslip
     if s is not None:
         out.append(
-            f"sideslip beside turns {np.rad2deg(s.sigma):.2g} deg over {s.time:.2g} s; rear axle {s.axle[0]:.2g} m behind (sigma {s.axle[1]:.2g}); "
+            f"sideslip without turns {np.rad2deg(s.sigma):.2g} deg over {s.time:.2g} s; rear axle {s.axle[0]:.2g} m behind (sigma {s.axle[1]:.2g}); "
             f"nose into the bend by {np.rad2deg(s.compliance[0]):.2g} deg per m/s^2 (sigma {np.rad2deg(s.compliance[1]):.2g})"
         )
     if found.vehicle.jerk is not None:

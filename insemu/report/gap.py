@@ -186,14 +186,14 @@ def gap_headline(report: GapReport) -> str:
         extra = f" What was named explains part of it: {_few(names)}." if names else ""
         return "The recording holds something that no effect of the catalogue explains." + extra
     settings = [finding_action(s, report.assumed) for s in report.findings if s.is_setting]
-    # levels alone are what the model lacks; beside anything else they are said as settings, first
+    # levels alone are what the model lacks; together with anything else they are said as settings, first
     found = [s for s in report.findings if not s.is_setting] or report.findings
     ahead = f"Set first: {'; '.join(settings)}. " if settings and len(found) < len(report.findings) else ""
     first = found[0]
     # those worth most first; the others are counted, every one stands in the table
     names = list(dict.fromkeys(_subject(s) for _, s in report.numbered() if s in found))
     doubted = sum(s.doubtful for s in found)
-    doubt = f" Something is left unexplained in the place of {doubted} of {len(found)}." if doubted else ""
+    doubt = f" Something unexplained is in the place of {doubted} of {len(found)}." if doubted else ""
     if first.is_class:
         or_names = " or ".join(_class_names(first))
         rest = [n for n in names if n != _subject(first)]
@@ -201,7 +201,7 @@ def gap_headline(report: GapReport) -> str:
         where = (
             f"The {sensor_axes(first.sensor, first.axes)} has" if _in_one_place(first) else "Missing from the model:"
         )
-        return f"{ahead}{where} {or_names}: this recording cannot tell them apart. What would: {first.would_separate}.{besides}{doubt}"
+        return f"{ahead}{where} {or_names}: this recording cannot distinguish them. What would: {first.would_separate}.{besides}{doubt}"
     return f"{ahead}Missing from the model: {_few(names)}.{doubt}"
 
 
@@ -443,7 +443,7 @@ def _suspects(report: GapReport, names: Sequence[str]) -> list[Section]:
         suspects.append(Folded(folded_said(report), [_found(report, rest)]))
     classes = [s for s in report.findings if s.is_class]
     if classes:
-        suspects.append(Text("Effects that this recording cannot tell apart:"))
+        suspects.append(Text("Effects that this recording cannot distinguish:"))
         suspects.append(
             Items(
                 [
@@ -512,7 +512,7 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
         f"On data that was not used for naming. Gain of log score: {_interval(report.held_out)} nats per fix (per block of a static log). "
         + burst_said(report),
     )
-    left = [Text(f"Left unexplained beside what was named: {report.remainder}.")] if report.remainder else []
+    left = [Text(f"Unexplained by what was named: {report.remainder}.")] if report.remainder else []
     if said := shaking_said(report):
         left.append(Text(said))
     sections = [

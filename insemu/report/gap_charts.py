@@ -36,7 +36,7 @@ def wavelet_chart(report: GapReport, names: Sequence[str], model: str) -> Chart:
     model : {"nominal", "refined"}
     """
     measured, label = (
-        ("measured", "measured") if model == "nominal" else ("measured_after", "measured, known effects taken off")
+        ("measured", "measured") if model == "nominal" else ("measured_after", "measured, known effects removed")
     )
     views = []
     for name in names:

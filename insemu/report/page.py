@@ -248,7 +248,7 @@ def render(
     cards : sequence of Card
         Verdicts, below the answer.
     pictures : bool
-        Whether every chart is also written as PNG and SVG into the folder ``figures`` beside the page.
+        Whether every chart is also written as PNG and SVG into the folder ``figures`` next to the page.
 
     Returns
     -------
@@ -263,6 +263,6 @@ def render(
 
             save(charts, path.parent / "figures")
         else:
-            say_once(f"No charts as PNG and SVG beside the page: {NO_MATPLOTLIB}")
+            say_once(f"No charts as PNG and SVG next to the page: {NO_MATPLOTLIB}")
     put(path, html)
     return path

@@ -32,7 +32,7 @@ KINDS = {
     ".yaml": "text/plain; charset=utf-8",
     ".csv": "text/csv; charset=utf-8",
 }
-#: Two pages beside each other.
+#: Two pages side by side.
 _SIDE = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Two runs side by side</title>
 <style>body{{margin:0;display:flex;flex-wrap:wrap;height:100vh;font:16px system-ui}}p{{width:100%;margin:.4rem .8rem}}
 iframe{{flex:1 1 24rem;height:calc(100vh - 2.4rem);border:0;border-left:1px solid #ccc;min-width:0}}</style></head>
@@ -131,7 +131,7 @@ class Shelf:
         )
 
     def side(self, query: str) -> str | None:
-        """Two pages beside each other; None where one of them is none of this folder."""
+        """Two pages side by side; None where one of them is none of this folder."""
         asked = parse_qs(query)
         names = [asked.get(key, [""])[0] for key in ("left", "right")]
         if any(self.file(quote(name)) is None or not name.endswith(".html") for name in names):

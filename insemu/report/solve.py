@@ -161,7 +161,7 @@ def _biases(sensor: str, s: Solution) -> str:
     factor, unit = datasheet(1.0, "rad/s" if sensor == "gyroscope" else "m/s^2")
     text = ", ".join(f"{factor * b:.4g} (sigma {factor * sd:.2g})" for b, sd, _ in own)
     before = [factor * off for *_, off in own]
-    taken = f", of which the start told {', '.join(f'{v:.4g}' for v in before)}" if any(before) else ""
+    taken = f", of which the start found {', '.join(f'{v:.4g}' for v in before)}" if any(before) else ""
     return f"{sensor} biases at the end, x, y, z: {text} {unit}{taken}"
 
 
@@ -299,7 +299,7 @@ def render_solution(s: Solution, folder: Path, compared: Comparison | None = Non
     """
     o = s.taken.outages
     where = (
-        "Errors are against the fixes that each outage withheld, at the antenna; their own scatter is taken off all columns. Where the fixes come "
+        "Errors are against the fixes that each outage withheld, at the antenna; their own scatter is subtracted from all columns. Where the fixes come "
         "from a receiver that fuses an IMU itself, they are a dependent reference. Outages overlap: the interval is by a moving-block bootstrap. "
         "The design was chosen on the same recording, by the logarithmic score of outages five seconds apart."
     )

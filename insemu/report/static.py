@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
     from matplotlib.legend import Legend
 
-#: Panels beside each other.
+#: Panels side by side.
 ACROSS = 3
 #: Resolution of the PNG files, dots per inch.
 DPI = 110
@@ -103,7 +103,7 @@ def draw_view(axes: Axes, chart: Chart, view: View) -> None:
         if line.fill_to is not None:
             axes.fill_between(x, y, np.asarray(view.lines[line.fill_to].y), color=line.colour, alpha=0.18, lw=0)
     for x0, y0, text in view.labels:
-        # above its bar, beside its point
+        # above its bar, next to its point
         at = {"xytext": (0, 3), "ha": "center"} if view.ticks else {"xytext": (4, 4)}
         axes.annotate(text, (x0, y0), textcoords="offset points", fontsize=8, **at)
     drawable = any(np.any(np.asarray(line.y, dtype=np.float64) > 0) for line in view.lines)
@@ -141,7 +141,7 @@ def _power_of_ten(value: float, place: int | None = None) -> str:
 
 
 def _named_ticks(axes: Axes, ticks: Sequence[tuple[float, str]]) -> bool:
-    """Names below the x axis, slanted where they would not stand beside each other; whether they are."""
+    """Names below the x axis, slanted where they would not stand side by side; whether they are."""
     names = [text for _, text in ticks]
     slanted = len(names) * max(len(row) for text in names for row in text.split("\n")) > CHARACTERS
     axes.set_xticks([x for x, _ in ticks], [n.replace("\n", " ") for n in names] if slanted else names)
@@ -159,7 +159,7 @@ def _stroke(line: Line) -> dict[str, Any]:
 
 
 def save(charts: Iterable[Chart], folder: Path, *, prefix: str = "") -> list[Path]:
-    """Write every chart as PNG and as SVG, called after its name; many are drawn by processes beside each other.
+    """Write every chart as PNG and as SVG, called after its name; many are drawn by processes side by side.
 
     Parameters
     ----------

@@ -140,7 +140,7 @@ def full_headline(results: Results) -> Table:
 
 
 def beside(results: Results, figure: str) -> Table:
-    """A published figure beside ours, design by design: a row of ours and a row of the paper's, one column per outage."""
+    """A published figure next to ours, design by design: a row of ours and a row of the paper's, one column per outage."""
     cells = {(name, k): theirs for name, k, _, theirs in published_cells(results, figure)}
     table = outage_table(results)
     numbers = range(len(results.outages))

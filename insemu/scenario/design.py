@@ -264,7 +264,7 @@ class DesignOptions(Section):
     )
     compensate: EffectList = Field(
         default=(),
-        description="effects that are taken off the data before the filter: {effect: id, sensor: gyro, parameter: value}",
+        description="effects that are removed from the data before the filter: {effect: id, sensor: gyro, parameter: value}",
     )
 
     @field_validator("compensate")
@@ -274,7 +274,7 @@ class DesignOptions(Section):
             if not use.effect.compensable:
                 known = ", ".join(sorted(e.id for e in EFFECTS.values() if e.compensable))
                 raise InputError(
-                    f"the effect '{use.id}' cannot be taken off ({use.effect.absent['compensate']}); expected one of: {known}"
+                    f"the effect '{use.id}' cannot be removed ({use.effect.absent['compensate']}); expected one of: {known}"
                 )
         return value
 
@@ -283,7 +283,7 @@ class Design(Section):
     """A filter design: what the filter believes about every axis, and how it runs; a name alone is a design that comes with insemu."""
 
     design: str | None = Field(
-        default=None, description="a design that comes with insemu (insemu designs); the keys beside it win"
+        default=None, description="a design that comes with insemu (insemu designs); the keys next to it win"
     )
     filter: str | None = Field(
         default=None,

@@ -1,6 +1,6 @@
 """How the parts of a scenario are read: quantities with units, and sections that become the objects other rooms work with.
 
-Every value is parsed here, once, while the scenario is loaded. What is written is kept beside it, so that the resolved scenario shows the
+Every value is parsed here, once, while the scenario is loaded. What is written is kept next to it, so that the resolved scenario shows the
 user's own units; what reaches a parser of another room is of the type that the parser takes.
 """
 

@@ -192,7 +192,7 @@ _UNION_TAGS = frozenset({"AxisSource", "str", "Signal", "list"})
 def resolve_path(text: str, scenario_file: str | Path | None = None) -> Path:
     """The file that a scenario names: ``shared:PATH`` under the shared data folder, else relative to the scenario's folder.
 
-    The shared folder is the environment variable ``INSEMU_SHARED``, else ``../shared`` beside the project.
+    The shared folder is the environment variable ``INSEMU_SHARED``, else ``../shared`` next to the project.
 
     Raises
     ------

@@ -112,7 +112,7 @@ class VehicleKeys(Section):
         if self.preset is not None:
             preset_file(self.preset)
         if (self.nose == "target") != (self.target is not None):
-            raise InputError("expected the key 'target' beside 'nose: target', and nowhere else")
+            raise InputError("expected the key 'target' together with 'nose: target', and nowhere else")
         return self
 
     @property
@@ -210,11 +210,11 @@ class TrajectorySource(Section):
             )
         if self.imu is not None and self.mode == "exact":
             raise InputError(
-                "a sensor's own sampling needs a continuous path; expected 'mode: continuous' beside 'imu'"
+                "a sensor's own sampling needs a continuous path; expected 'mode: continuous' together with 'imu'"
             )
         if self.kind == "sample" and self.mode == "exact":
             raise InputError(
-                "samples exist only on a continuous path; expected 'mode: continuous' beside 'kind: sample'"
+                "samples exist only on a continuous path; expected 'mode: continuous' together with 'kind: sample'"
             )
         return self
 
@@ -274,7 +274,7 @@ class Truth(SensorModels):
     file: str | None = Field(
         default=None,
         examples=["models.yaml"],
-        description="noise-model file written by insemu fit; axes that are given beside it win",
+        description="noise-model file written by insemu fit; axes that are given next to it win",
     )
     spread: bool = Field(
         default=False,
@@ -383,7 +383,7 @@ Cells = dict[str, tuple[float | None, ...]]
 
 
 class Published(Section):
-    """Figures of a paper, printed beside ours: errors per design, one value per outage (null where the paper prints none)."""
+    """Figures of a paper, printed next to ours: errors per design, one value per outage (null where the paper prints none)."""
 
     source: str = Field(description="the paper and its table, as it is to be cited")
     planimetric_end_m: Cells | None = Field(default=None, description="mean error at outage end")
@@ -429,9 +429,7 @@ class RecordingSource(Section):
         default=None, description="leave out what is before this time from the recording's origin, or before a date"
     )
     end: Seconds | None = Field(default=None, description="leave out what is after this time or date")
-    imu_time_offset: Seconds = Field(
-        default=0.0, description="how late IMU stamps are against those of GNSS; taken off"
-    )
+    imu_time_offset: Seconds = Field(default=0.0, description="how late IMU stamps are against those of GNSS; removed")
     vehicle: NonHolonomic | None = Field(
         default=None, description="a vehicle that moves where it points, for the gap workflow; null: no wheels"
     )
@@ -440,7 +438,7 @@ class RecordingSource(Section):
     )
     known: EffectList = Field(
         default=(),
-        description="effects that it has and that cannot be taken off, such as output counts: insemu gap does not name them again",
+        description="effects that it has and that cannot be removed, such as output counts: insemu gap does not name them again",
     )
     zero_velocity_updates: bool = Field(
         default=False, description="feed every design zero velocity and rate at rest (zero_updates: one design)"
@@ -486,7 +484,7 @@ class Scenario(Section):
     gnss: Gnss = Field(default=Gnss(), description="the fixes, their noise and where there are none")
     aids: AidUses = Field(
         default=(),
-        description="measurements beside the fixes of an emulated flight (docs/filters.md): {odometer: {rate: 10 Hz, sigma: [..]}}",
+        description="measurements other than the fixes of an emulated flight (docs/filters_aids.md): {odometer: {rate: 10 Hz, sigma: [..]}}",
     )
     initial: Initial = Field(default=Initial(), description="how well the filter knows where it starts")
     fits: FitSource | None = Field(default=None, description="signals that models under designs are fitted to")
@@ -498,7 +496,7 @@ class Scenario(Section):
         default=False,
         description="smooth every design's run backwards too (Rauch, Tung, Striebel), through the outages",
     )
-    published: Published | None = Field(default=None, description="figures of a paper that are printed beside ours")
+    published: Published | None = Field(default=None, description="figures of a paper that are printed next to ours")
     variants: dict[Name, dict[str, Any]] = Field(
         default_factory=dict, description="name to the keys that differ; each is run too, under variants/NAME"
     )
@@ -524,9 +522,9 @@ class Scenario(Section):
             missing = " and ".join(f"'{k}'" for k in ("trajectory", "truth") if getattr(self, k) is None)
             raise InputError(f"the key {missing} is missing; expected a trajectory and a truth, or a recording")
         if self.recording is not None and (self.trajectory is not None or self.truth is not None):
-            raise InputError("found a recording beside a trajectory or a truth, expected one or the other")
+            raise InputError("found a recording together with a trajectory or a truth, expected one or the other")
         if self.recording is not None and self.aids:
-            raise InputError("found aids beside a recording, which brings its own (keys aid_NAME)")
+            raise InputError("found aids together with a recording, which brings its own (keys aid_NAME)")
         there = {use.aid.name for use in self.aids}
         for effect in self.truth.effects if self.truth is not None else ():
             if effect.sensor in AID_KINDS and effect.sensor not in there:

@@ -37,13 +37,13 @@ def with_sensors(value: Any) -> Any:
     Parameters
     ----------
     value : plain data
-        ``{sensor: ADIS16470}`` names a sensor for all axes (``case: worst`` beside it takes its worst case), ``{gyro: {sensor: ADIS16470}}``
-        for those of one triad. Axes that are given beside it win.
+        ``{sensor: ADIS16470}`` names a sensor for all axes (``case: worst`` next to it takes its worst case), ``{gyro: {sensor: ADIS16470}}``
+        for those of one triad. Axes that are given next to it win.
 
     Raises
     ------
     InputError
-        No such sensor, an unknown case, or another key beside ``sensor`` in an axis.
+        No such sensor, an unknown case, or another key together with ``sensor`` in an axis.
     """
     if not isinstance(value, Mapping):
         return value
@@ -58,7 +58,7 @@ def with_sensors(value: Any) -> Any:
         if isinstance(source, Mapping) and "sensor" in source:
             extra = set(source) - {"sensor", "case"}
             if extra:
-                raise InputError(f"{key}: found '{min(extra)}' beside 'sensor', expected 'case' or nothing")
+                raise InputError(f"{key}: found '{min(extra)}' together with 'sensor', expected 'case' or nothing")
             del out[key]
             out = {axis: model for axis, model in _models(source).items() if axis.startswith(key)} | out
     return out

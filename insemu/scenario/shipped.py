@@ -1,4 +1,4 @@
-"""The scenarios that come with the package: found beside a checkout and inside an installed package."""
+"""The scenarios that come with the package: found together with a checkout and inside an installed package."""
 
 from __future__ import annotations
 

@@ -158,7 +158,9 @@ def _white(figures: Mapping[str, Figure], kind: str, unit: str) -> str:
     text = f"WN: N is the printed random walk {figures[kind].text}"
     if "noise_density" in figures:
         density, shown = datasheet(figures["noise_density"].value, f"{unit}/sqrt(Hz)")
-        text += f"; the noise density {figures['noise_density'].text} = {density:.3g} {shown} is printed besides and not used"
+        text += (
+            f"; the noise density {figures['noise_density'].text} = {density:.3g} {shown} is printed, too, and not used"
+        )
     return text
 
 

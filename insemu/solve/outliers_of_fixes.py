@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 #: Chance that a recording of normal fixes loses any of them.
 FALSE_ALARM = 0.05
-#: Neighbours whose scatter counts beside that of the whole recording: quality changes with the surroundings.
+#: Neighbours whose scatter counts together with that of the whole recording: quality changes with the surroundings.
 NEIGHBOURS = 31
 #: From this share on what is far off is no outlier but the noise itself, and all fixes stay.
 MOST_SHARE = 0.2

@@ -43,7 +43,7 @@ class Octave:
     f : (k,) array
         Frequencies in cycles per sample, evenly from 0.
     gain : (k,) array
-        Squared gain there, the first just beside 0.
+        Squared gain there, the first just next to 0.
     weight : (k,) array
         Weights of the integral over both signs of the frequency.
     stride : float

@@ -238,7 +238,7 @@ def resolution(x: Array, unit: str) -> list[str]:
             )
     for extreme, name in ((x.max(), "highest"), (x.min(), "lowest")):
         count = int(np.count_nonzero(x == extreme))
-        # a continuous signal never repeats its extreme; counts do, but less often than the counts beside it
+        # a continuous signal never repeats its extreme; counts do, but less often than the counts next to it
         beside = int(np.count_nonzero(np.abs(x - extreme) <= 2.5 * step)) - count if counted else 0
         if count >= (10 if counted else 4) and count > 3 * beside:
             out.append(f"saturation: {count} values sit at the {name} value, {extreme:.6g} {unit}")

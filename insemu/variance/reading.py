@@ -42,7 +42,7 @@ _MISFIT = 0.1
 _ROLL_OFF = 0.003
 
 #: How much closer, in chi-square, a Markov noise must follow the curve than power laws alone to be believed: in place of the random
-#: walk, whose limit it is, and beside it, where many time constants have their chance.
+#: walk, whose limit it is, and next to it, where many time constants have their chance.
 _INSTEAD, _BESIDE = 2.5, 9.0
 
 #: Growth of chi-square at the end of a 95 % interval, and without a coefficient that is to count as visible (2.5 standard deviations).
@@ -155,7 +155,7 @@ def _power_laws(curve: AllanVariance, noise: NoiseType) -> NoiseType | None:
     """The simplest description, power laws alone, where nothing speaks against it; else None.
 
     A comb of Markov noises follows every chance bend of the longest times, so that a straight part has no straight slope any more. Power laws
-    must follow the curve within its scatter (1 % level), and one Markov noise in place of the random walk or beside it must not do so
+    must follow the curve within its scatter (1 % level), and one Markov noise in place of the random walk or next to it must not do so
     clearly better.
     """
     use = curve.edof >= 1.2
@@ -260,7 +260,7 @@ def _fit(
 
 
 def _likely(target: Array, neighbours: Array, aim: Array) -> Array:
-    """Coefficient of ``target`` in ``aim`` (unit scatter) beside non-negative neighbours, and its interval.
+    """Coefficient of ``target`` in ``aim`` (unit scatter) together with non-negative neighbours, and its interval.
 
     Neighbours that the data do not ask for would only take their share of the scatter: the estimate and the upper end are without them, the lower end
     goes down to what they could explain.

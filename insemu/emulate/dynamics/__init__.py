@@ -1,4 +1,4 @@
-"""What a vehicle does beside its path: it shakes, pitches and slips, as spectra, lines and slow processes of one file say."""
+"""What a vehicle does next to its path: it shakes, pitches and slips, as spectra, lines and slow processes of one file say."""
 
 from insemu.emulate.dynamics.blocks import Mount
 from insemu.emulate.dynamics.files import MovingVehicle, read_vehicle, vehicle_text

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MovingVehicle:
-    """A vehicle with what it does beside its path.
+    """A vehicle with what it does next to its path.
 
     Parameters
     ----------

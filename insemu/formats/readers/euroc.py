@@ -1,4 +1,4 @@
-"""EuRoC MAV and TUM-VI (ASL layout): ``mav0/imu0/data.csv`` with stamps in ns, and the reference beside it.
+"""EuRoC MAV and TUM-VI (ASL layout): ``mav0/imu0/data.csv`` with stamps in ns, and the reference next to it.
 
 Burri et al. 2016, "The EuRoC micro aerial vehicle datasets", section 4: gyroscope in rad/s, accelerometer in m/s^2, in sensor axes; the
 reference is the sensor's pose in a frame with z up.

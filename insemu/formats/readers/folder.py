@@ -33,7 +33,7 @@ def _read(path: Path, settings: Mapping[str, str]) -> list[Table]:
         try:
             found = reader.read(file, settings)
         except InputError:
-            continue  # notes and pictures beside the data
+            continue  # notes and pictures next to the data
         for table in found:
             role = next((r for r in ("gyro", "rpy", "quaternion", "lat", "ecef") if r in table.map.picks), "")
             if role in ("gyro", "lat") and role in holding:
