@@ -37,8 +37,11 @@ def turned(a: ImuRecord, b: ImuRecord) -> str:
     span = max(a.t[0], b.t[0]) + 0.05, min(a.t[-1], b.t[-1]) - 0.05
     if span[1] - span[0] < 0.8 * (b.t[-1] - b.t[0]):
         return f"{a.t[-1] - a.t[0]:.6g} s of {b.t[-1] - b.t[0]:.6g} s"
-    t = np.arange(*span, 0.05)
-    values = [np.column_stack([np.interp(t, i.t, c) for c in i.rates().T]) for i in (a, b)]
+    edges = np.arange(*span, 0.5)  # means: the phase of a vibration is no part of a reading
+    values = []
+    for i in (a, b):
+        sums = np.cumsum(i.rates() * np.diff(i.t, prepend=i.t[0])[:, None], axis=0)
+        values.append(np.diff([np.interp(edges, i.t, c) for c in sums.T], axis=1).T / 0.5)
     one, two = (np.vstack([v[:, :3] * 30.0, v[:, 3:]]) for v in values)
     u, _, vt = np.linalg.svd(two.T @ one)
     turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
@@ -135,7 +138,7 @@ def judged(
     if wrong:
         return "false command", f"{told[:300]} || {' || '.join(wrong)}"
     refused = card is None or bool(card.of("wrong"))
-    if good:
+    if good and (said or not about):
         return ("false accusation" if refused else "right"), told[:300]
     if not said:
         open_ = (

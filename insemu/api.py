@@ -22,6 +22,9 @@ from insemu.records import Recording, Series
 from insemu.shown import ByAxis
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes as Drawing
+    from matplotlib.figure import Figure
+
     from insemu.evaluate import Results
     from insemu.fit import FitResult, Method, Ranking
     from insemu.fit.gmwm import Weighting
@@ -533,7 +536,7 @@ def require(
     return one(asked, wish, Path("scenario.yaml").absolute(), aids=aids, have=have, road=transfer)
 
 
-def plot(result: Any, axes: Any = None, *, view: int | str = 0) -> Any:
+def plot(result: Any, axes: Drawing | None = None, *, view: int | str = 0) -> Drawing | Figure:
     """Draw the chart that a page shows of a result, see :func:`insemu.report.plot`.
 
     Parameters

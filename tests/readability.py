@@ -5,7 +5,7 @@
 a colon or a semicolon, or with its paragraph, list item or table cell. Pieces of fewer than five words (names, values) are no sentences.
 
 A rare word is neither of one of the 5,000 most frequent families of English words (a word with its inflections and derivations; from the list of
-the package wordfreq, extra ``dev``) nor of a term of docs/glossary.md. Names (words with a capital letter inside a sentence, abbreviations), units
+the package wordfreq, extra ``words``) nor of a term of docs/glossary.md. Names (words with a capital letter inside a sentence, abbreviations), units
 and symbols (words of one or two letters) do not count.
 
 The exit code is 1 where a page has more than 2,500 words or a mean sentence of more than 25, where more than 2 % of all words are rare, or where the
@@ -92,13 +92,19 @@ def family(word: str) -> str:
 
 
 @cache
-def known() -> frozenset[str]:
-    """Families of frequent words and of the words of the glossary."""
+def _frequent() -> list[str]:
+    """English words in the order of their frequency."""
     from wordfreq import top_n_list
 
+    return [word for word in top_n_list("en", 10 * FREQUENT) if word.isalpha()]
+
+
+@cache
+def known() -> frozenset[str]:
+    """Families of frequent words and of the words of the glossary."""
     families: dict[str, None] = {}
-    for word in top_n_list("en", 10 * FREQUENT):
-        if len(families) < FREQUENT and word.isalpha():
+    for word in _frequent():
+        if len(families) < FREQUENT:
             families[family(word)] = None
     return frozenset({*families, *(family(w) for term in glossary() for w in re.findall(r"[a-z]+", term.lower()))})
 
@@ -176,7 +182,10 @@ def main() -> int:
         print(f"{name:40} {m.total:6d} {m.mean:9.1f} {len(m.rare) / max(1, len(m.words)):7.1%}{'  !' if wrong else ''}")
     every = [w for m in found.values() for w in m.words]
     share = sum(map(rare, every)) / len(every)
+    listed = {*_frequent()[:FREQUENT], *(w for term in glossary() for w in re.findall(r"[a-z]+", term.lower()))}
+    forms = sum(word not in listed for word in every) / len(every)
     print(f"{len(every)} words, {share:.2%} rare (at most {RARE_SHARE:.0%}); glossary: {len(glossary())} terms")
+    print(f"with every inflection and derivation as a word of its own: {forms:.1%} rare")
     return int(bad > 0 or share > RARE_SHARE or len(glossary()) > MOST_TERMS)
 
 

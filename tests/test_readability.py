@@ -30,7 +30,7 @@ def test_the_glossary_is_short() -> None:
 
 
 def test_few_words_are_rare() -> None:
-    pytest.importorskip("wordfreq", reason="the list of frequent words is in the extra dev")
+    pytest.importorskip("wordfreq", reason="the list of frequent words is in the extra words")
     every = [w for text in texts().values() for w in measure(text).words]
     assert sum(map(readability.rare, every)) <= RARE_SHARE * len(every)
 

@@ -140,6 +140,30 @@ def gap(seconds: float) -> Spoil:
     return _imu(change)
 
 
+def closed_up(seconds: float) -> Spoil:
+    """Rows of the IMU that are lost while its stamps go on evenly."""
+
+    def change(i: ImuRecord) -> ImuRecord:
+        middle = 0.5 * (i.t[0] + i.t[-1])
+        keep = (i.t < middle) | (i.t >= middle + seconds)
+        return replace(i, t=i.t[: keep.sum()], gyro=i.gyro[keep], accel=i.accel[keep], temperature=None)
+
+    return _imu(change)
+
+
+def rounded(decimals: int) -> Spoil:
+    return _gnss(
+        lambda g: replace(
+            g, llh=np.column_stack([np.deg2rad(np.round(np.rad2deg(g.llh[:, :2]), decimals)), g.llh[:, 2]])
+        )
+    )
+
+
+def held_back(rows: int) -> Spoil:
+    """Velocities of an earlier fix."""
+    return _gnss(lambda g: replace(g, vel_ned=g.vel_ned[np.maximum(np.arange(len(g)) - rows, 0)]))  # type: ignore[index]
+
+
 def mirror(axis: int) -> Spoil:
     signs = np.where(np.arange(3) == axis, -1.0, 1.0)
     return _imu(lambda i: replace(i, gyro=i.gyro * signs))
@@ -204,6 +228,19 @@ WRONG: tuple[Wrong, ...] = (
     Wrong("fixes late by 2 s, positions only", POSITIONS, late(2.0), "gnss_shift=-"),
     Wrong("fixes early by 18 s (leap seconds)", {}, late(-18.0), "gnss_shift=+1"),
     Wrong("fixes on another clock", {}, late(1.4e9), "not one clock"),
+    Wrong(
+        "20 s of the IMU lost without stamps",
+        {"which": "turbulent_uav"},
+        closed_up(20.0),
+        "s on the IMU predicts the velocities",
+    ),
+    Wrong("positions of four decimals", {}, rounded(4), "4 decimals of a degree: steps of 11 m"),
+    Wrong(
+        "velocities of the fix before",
+        {"which": "turbulent_uav"},
+        held_back(1),
+        "the velocities come 1.0 s late against the positions",
+    ),
     Wrong("a gap of 3 s in the IMU", {}, gap(3.0), "3."),
     Wrong("stamps in ms taken as s", {}, stamps(1000.0), "time_unit=ms"),
 )

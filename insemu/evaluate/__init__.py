@@ -17,7 +17,6 @@ from insemu.evaluate.errors import COMPONENTS, bootstrap_mean, navigation_error,
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.folder import CACHE, MARKER, check_not_fewer, finish, only_writer, resolved, write, write_summary
 from insemu.evaluate.provenance import changed, differences, surroundings
-from insemu.evaluate.recorded import BRIDGED_S
 from insemu.evaluate.regression import Alteration, Baseline, Change, check, smallest_detectable, trial
 from insemu.evaluate.results import (
     Results,
@@ -43,7 +42,6 @@ from insemu.evaluate.ways import ways_of_run
 from insemu.evaluate.world import World, input_files
 
 __all__ = [
-    "BRIDGED_S",
     "CACHE",
     "COMPONENTS",
     "MARKER",

@@ -33,11 +33,13 @@ from insemu.filters.rest import never_moves, rests
 from insemu.filters.results import FilterResult, FixTable, Nodes, log_density
 from insemu.filters.smoothed import cross_covariance, sigma_at, smoothed_at
 from insemu.filters.smoother import SmootherResult, smooth
-from insemu.filters.start import start
+from insemu.filters.start import How, start
 from insemu.filters.twin import Carried, Intervals, LinearErrors, basis, carried, driven, transitions
+from insemu.filters.two_way import BRIDGED_S
 
 __all__ = [
     "AIDS",
+    "BRIDGED_S",
     "FIX",
     "SAME_TIME",
     "SETTINGS",
@@ -52,6 +54,7 @@ __all__ = [
     "FilterResult",
     "FixTable",
     "Gains",
+    "How",
     "InitialSigma",
     "Innovations",
     "Intervals",

@@ -135,6 +135,10 @@ class Windows:
         """How many windows there are."""
         return int(self._starts.size)
 
+    def start(self, k: int) -> float:
+        """Time at which a window begins, s from the start of the IMU."""
+        return float(self._starts[k] - self._imu.t[0])
+
     @cached_property
     def floor(self) -> float:
         """What velocities of the fixes are good for, m/s: third differences hold no smooth motion."""

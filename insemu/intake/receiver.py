@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,10 @@ CLIMB_S = 20.0
 OPPOSED, RATIO = 0.8, 0.15
 #: Turn of the velocities against the positions that is said, rad (about grid north instead of true north).
 TURNED = np.deg2rad(1.5)
+#: Delays of the velocities against the positions that are tried, s; shortest that is reported; share of the misfit that must remain at most.
+DELAYS, LATE_S, LATE_SHARE = np.round(np.arange(-2.5, 2.55, 0.1), 1), 0.3, 0.6
+#: Rounding of the positions that is reported, m (standard deviation); decimals of a degree that are tried; fewest different positions.
+ROUNDED_M, DECIMALS, DISTINCT = 1.0, range(2, 7), 20
 #: Lowest dry land, m: heights below are negated, or of another unit.
 LOWEST = -430.0
 #: Held positions: shortest, s, and how far the velocities go meanwhile, m; a jump: m and times the scatter.
@@ -48,6 +52,8 @@ class Agreement:
         two do not go together.
     turn : float
         rad by which the velocities are turned clockwise against the positions; 0 where it is none that explains more.
+    late : float
+        s by which the velocities come late against the positions; 0 where no delay explains more.
     """
 
     scale: float
@@ -57,6 +63,7 @@ class Agreement:
     best_residual: float
     climbing: float = np.nan
     turn: float = 0.0
+    late: float = 0.0
 
 
 _READINGS: dict[str, Callable[[Array], Array]] = {
@@ -86,7 +93,16 @@ def agreement(gnss: GnssRecord) -> Agreement | None:
     # a reading and its negative leave the same: one that points backwards explains nothing
     best = min(out, key=lambda n: out[n][1] if out[n][0] > 0.0 else np.inf)
     declared = out["as declared"]
-    return Agreement(*declared, best, *out[best], _climbing(gnss, own), _turned(moved, own, declared[1]))
+    late = _late(moved, own, floor, declared[1])
+    return Agreement(*declared, best, *out[best], _climbing(gnss, own), _turned(moved, own, declared[1]), late)
+
+
+def _late(moved: Track, own: Track, floor: float, residual: float) -> float:
+    """Delay of the velocities against the motion of the positions, s; 0 where none explains much more."""
+    fits = [_fit(moved, replace(own, t=own.t - late), own.velocity, floor) for late in DELAYS]
+    k = int(np.argmin([rest for _, rest in fits]))
+    explains = fits[k][1] < LATE_SHARE * residual and near(fits[k][0], 1.0, NEAR)
+    return float(DELAYS[k]) if explains and abs(DELAYS[k]) >= LATE_S else 0.0
 
 
 def _turned(moved: Track, own: Track, left: float) -> float:
@@ -204,11 +220,27 @@ def fixes(gnss: GnssRecord, found: Agreement | None, unstated: bool, opposite: f
     jumps = int((np.linalg.norm(moved.velocity[:, :2], axis=1) > 1000.0).sum())
     if jumps:
         out.append(Line("fixes", "odd", f"{jumps} step(s) faster than 1000 m/s over {extent / 1e3:.4g} km"))
+    out.extend(_rounded(gnss, llh))
     out.extend(_velocities(gnss, found, unstated))
     out.extend(heights(gnss, found, opposite))
     out.extend(steps(gnss))
     out.extend(_spreads(gnss))
     return out
+
+
+def _rounded(gnss: GnssRecord, llh: Array) -> list[Line]:
+    """Latitudes and longitudes that are written with too few decimals for what the fixes are worth."""
+    level = llh[:, :2]
+    exact = (d for d in DECIMALS if np.abs(level * 10.0**d - np.round(level * 10.0**d)).max() < 1e-6)
+    decimals = next(exact, None)
+    if decimals is None or len(np.unique(level, axis=0)) < DISTINCT:
+        return []
+    step = float(np.deg2rad(10.0**-decimals)) * earth.A
+    known = np.empty(0) if gnss.pos_std_ned is None else gnss.pos_std_ned[:, :2][np.isfinite(gnss.pos_std_ned[:, :2])]
+    stated = float(np.median(known)) if known.size else 0.0
+    if step / np.sqrt(12.0) < max(ROUNDED_M, stated):
+        return []
+    return [Line("fixes", "odd", f"latitude and longitude have {decimals} decimals of a degree: steps of {step:.2g} m")]
 
 
 def _radians(evidence: str) -> Line:
@@ -242,6 +274,11 @@ def _velocities(gnss: GnssRecord, found: Agreement | None, unstated: bool) -> li
         angle = f"{np.rad2deg(found.turn):+.1f} deg"
         text = f"the velocities are turned by {angle} against the motion of the positions: about another north (grid, magnetic)?"
         return [Line("velocity", "odd", text)]
+    if found.late:
+        word = "late" if found.late > 0.0 else "early"
+        return [
+            Line("velocity", "odd", f"the velocities come {abs(found.late):.1f} s {word} against the positions: {off}")
+        ]
     if found.scale == 0.0:
         return [Line("velocity", "odd", "the velocities are zero while the positions move")]
     level: Level = "ok" if found.residual < 0.3 else "odd"

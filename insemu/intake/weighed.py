@@ -33,6 +33,8 @@ MOVES = 0.15
 KNOWN, SCALE = 0.04, 0.05
 #: How finely the factor is looked for.
 SCALE_STEP = 1.02
+#: Fewest windows of a part that is reported.
+FEWEST = 3
 #: Windows by which readings are screened, and how many of them are scored by all.
 SCREENED, KEPT = 10, 8
 #: Shortest shift of the fixes that is said, s; first step of the search and its end.
@@ -388,7 +390,7 @@ class Weighing:
             return [self._rival(best, fit)], False
         if not self.explains(self.declared):
             text = f"{fit}: gyroscope, accelerometer and fixes contradict each other, and no unit, order or sign that was tried makes them agree"
-            return [Line("motion", "wrong", text)], False
+            return [Line("motion", "wrong", text), *self._part()], False
         if not self.moves(self.declared):
             text = f"not checkable: what the IMU says of the motion is no larger than the noise of the fixes ({fit})"
             return [Line("motion", "assumed", text)], True
@@ -396,7 +398,29 @@ class Weighing:
             Line("motion", "ok", f"gyroscope and specific force explain the motion of the fixes: {fit}"),
             *self._power(),
         ]
-        return [*out, self._clock()], True
+        return [*out, self._clock(), *self._part()], True
+
+    def _part(self) -> list[Line]:
+        """A part at the end or at the begin in which the fixes are not predicted, while they are in the rest."""
+        left, n = self.declared.left, self.declared.left.size
+        each, worst = (0.5 * np.log1p((x.left / self.windows.floor) ** 2) for x in (self.declared, self.unrelated))
+        best: tuple[float, slice, slice, str] | None = None
+        for k in range(FEWEST, n - FEWEST + 1):
+            at = self.windows.start(k)
+            first, last = slice(None, k), slice(k, None)
+            for good, bad, when in ((first, last, f"from {at:.4g} s on"), (last, first, f"up to {at:.4g} s")):
+                wrong = each[bad].mean() > max(WRONG_EACH, WRONG_SHARE * worst[bad].mean())
+                gain = float(each[bad].mean() - each[good].mean())
+                if wrong and each[good].mean() < 0.5 * WRONG_EACH and (best is None or gain > best[0]):
+                    best = gain, good, bad, when
+        if best is None:
+            return []
+        _, good, bad, when = best
+        text = (
+            f"{when} the IMU predicts the velocities of the fixes to {np.median(left[bad]):.2g} m/s, in the rest to "
+            f"{np.median(left[good]):.2g} m/s: rows lost without stamps, a clock that jumped, or a mount that slipped"
+        )
+        return [Line("motion", "odd", text)]
 
     def _clock(self) -> Line:
         """Whether fixes and IMU share a clock: an antenna ahead of the IMU, which turns before it does, is allowed for."""

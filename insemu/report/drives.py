@@ -70,13 +70,13 @@ def render_drives(found: Comparison, path: str | Path, recorded: str, emulated: 
     ]
     words = (
         "Boosted trees see windows of 4 s and say which of two is emulated; the area under their curve is how often they are right. "
-        "Root mean squares are of the windows, regimes with equal weights; a feature's own area is below 0.5 where the emulated drive shows less of it."
+        "Root mean squares are of the windows, regimes with equal weights; a feature's own area is below 0.5 where the emulated drive shows less."
     )
     header, rows = (
         ["regime", "recorded, s", "emulated, s"],
         [[k, f"{a:g}", f"{b:g}"] for k, (a, b) in found.seconds.items()],
     )
-    caption = f"Emulated over recorded power in dB and the recorded root mean square, in regimes of 30 s and more; equal means within {ALIKE_DB:g} dB."
+    caption = f"Emulated over recorded power in dB and the recorded root mean square, in regimes of 30 s or more; equal: within {ALIKE_DB:g} dB."
     sections = [
         Section(
             "What gives it away",
