@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from insemu.gap import GapReport, Nominal, StaticLog
     from insemu.intake import Card
     from insemu.noise import NoiseModel, Process
+    from insemu.require import Answer
     from insemu.scenario import Scenario
     from insemu.solve import Solution
     from insemu.variance import AxisReport
@@ -493,6 +494,46 @@ def solve(
             data = intake.recording_of(found)
     card.check()
     return one(data, card, beliefs, lever_arm=lever_arm, rate=trajectory_rate, workers=workers)
+
+
+def require(
+    requirements: str | Sequence[str],
+    *,
+    track: str | Path = "",
+    vehicle: str = "car",
+    fixes: str = "",
+    aids: str = "",
+    have: str = "",
+    transfer: str | Path = "",
+) -> Answer:
+    """Which IMU keeps a required error at the end of an outage, as ``insemu require`` says it; nothing is written.
+
+    Parameters
+    ----------
+    requirements : str or sequence of str
+        Such as ``"planimetric < 1 m at 95 % after 30 s"``.
+    track : path
+        A track, waypoints, or the name of a built-in trajectory; empty: a drive in town.
+    vehicle : str
+        For a track or waypoints.
+    fixes : str
+        Standard deviations such as ``"2 cm, 3 cm/s"``.
+    aids, have : str
+        See :func:`insemu.require.require`.
+    transfer : path
+        What ``insemu transfer --json`` printed.
+
+    Raises
+    ------
+    InputError
+        What cannot be read, what contradicts itself, and what no sensor can keep.
+    """
+    from insemu.require import require as one
+    from insemu.require import wish_of
+
+    asked = [requirements] if isinstance(requirements, str) else list(requirements)
+    wish = wish_of(str(track), vehicle, fixes)
+    return one(asked, wish, Path("scenario.yaml").absolute(), aids=aids, have=have, road=transfer)
 
 
 def plot(result: Any, axes: Drawing | None = None, *, view: int | str = 0) -> Drawing | Figure:

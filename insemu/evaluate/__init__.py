@@ -40,7 +40,7 @@ from insemu.evaluate.twin import LinearTwin
 from insemu.evaluate.until import Goal, Look, looks
 from insemu.evaluate.verdict import Verdict
 from insemu.evaluate.ways import ways_of_run
-from insemu.evaluate.world import World
+from insemu.evaluate.world import World, input_files
 
 __all__ = [
     "CACHE",
@@ -85,6 +85,7 @@ __all__ = [
     "finish",
     "fly_part",
     "front",
+    "input_files",
     "kendall",
     "lag_products",
     "looks",
