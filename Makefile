@@ -4,27 +4,26 @@ VENV ?= .venv
 BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 WORKERS ?= 2
 STAMP := $(VENV)/.installed
-FLOWN := $(VENV)/.flown
 
 # Containers often ask Python to keep no compiled modules; then each start compiles 1,500 of them again, 4 s.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test test-slow test-target scoreboard scoreboard-release claims claims-nightly lint bench docs links setup smoke wheel lock clean
 
-demo: $(FLOWN)
+demo: $(STAMP)
 	$(BIN)/insemu run scenarios/table3_synthetic.yaml --workers $(WORKERS) --output results/table3_synthetic
 
-test: $(FLOWN)
-	$(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --dist loadfile
+test: $(STAMP)
+	$(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --dist worksteal
 
-test-slow: $(FLOWN)
+test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n $(WORKERS)
 
 # The quick tests, or some, with the arithmetic of another processor: TARGET=generic, x86-64-v2, x86-64-v3, skylake-avx512.
 TARGET ?= generic
 TESTS ?=
 test-target: $(STAMP)
-	.ci/target.sh $(TARGET) $(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --dist loadfile $(TESTS)
+	.ci/target.sh $(TARGET) $(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --dist worksteal $(TESTS)
 
 # Fixed blind recordings against tests/scoreboard.yaml, all or LIMIT of them: what moved, and failure where a score left its binomial bound.
 LIMIT ?= 0
@@ -54,29 +53,25 @@ docs: $(STAMP)
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs site
 
 # A short run of every scenario.
-smoke: $(FLOWN)
+smoke: $(STAMP)
 	out=$$(mktemp -d) && trap 'rm -rf "$$out"' EXIT && $(BIN)/python .ci/smoke.py "$$out" $(WORKERS)
 
 # With compiled kernels for this machine's baseline, or for PROCESSORS="x86-64-v3 generic"; tested, then in dist/.
 PROCESSORS ?=
-wheel: $(FLOWN)
+wheel: $(STAMP)
 	.ci/wheel.sh $(BIN)/python $(PROCESSORS)
 
 # Every link of the pages to other sites, which CI without a network cannot ask for.
 links: $(STAMP)
 	$(BIN)/python -m sphinx -q -b linkcheck docs site/links
 
-# Installs, and flies two realizations of the demo, which compiles the kernels that it uses, once.
-setup: $(FLOWN)
+# Installs; kernels are compiled once, by what uses them first.
+setup: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit("insemu needs Python 3.11 or newer, found " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt --editable ".[dev,docs,cluster,files]"
-	touch $@
-
-$(FLOWN): $(STAMP)
-	$(BIN)/insemu run scenarios/table3_synthetic.yaml --workers $(WORKERS) --realizations 2 --no-pictures --output $(VENV)/first > /dev/null
 	touch $@
 
 # Renew the versions that were tested: install without constraints in a fresh environment, run the tests, then write what was there.

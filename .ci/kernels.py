@@ -12,6 +12,7 @@ import json
 import os
 import pickle
 import resource
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -39,6 +40,7 @@ gap gap_static_nominal.yaml static.npz --output gap_static
 gap gap_drive_nominal.yaml drive.npz --output gap_drive
 compare table3_synthetic --analytic
 run table3_synthetic --linear 100
+require "planimetric < 30 m after 20 s" --output required
 designs
 """
 
@@ -48,7 +50,11 @@ def run(command: str, folder: Path, processor: str) -> None:
     environment = os.environ | {"NUMBA_CPU_NAME": processor, "NUMBA_CPU_FEATURES": "", "OPENBLAS_NUM_THREADS": "1"}
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     said = subprocess.run(
-        [sys.executable, "-m", "insemu", *command.split()], cwd=folder, env=environment, capture_output=True, text=True
+        [sys.executable, "-m", "insemu", *shlex.split(command)],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
     )
     now = resource.getrusage(resource.RUSAGE_CHILDREN)
     seconds = now.ru_utime + now.ru_stime - before.ru_utime - before.ru_stime

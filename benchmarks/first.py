@@ -29,9 +29,23 @@ def cpu(command: list[str], folder: Path) -> float:
     return now.ru_utime + now.ru_stime - before.ru_utime - before.ru_stime
 
 
-def size(folder: Path) -> float:
-    """Megabytes of all files below a folder."""
-    return sum(p.stat().st_size for p in folder.rglob("*") if p.is_file() and not p.is_symlink()) / 1e6
+def installed(python: str, folder: Path) -> str:
+    """Megabytes of what was installed beside pip, and of the bytecode that pip made of all its modules; the largest packages."""
+    code = (
+        "import importlib.metadata as m\n"
+        "for d in m.distributions():\n"
+        "    print(d.metadata['Name'], *(d.locate_file(f) for f in d.files or ()), sep='\\t')"
+    )
+    said = subprocess.run([python, "-c", code], cwd=folder, check=True, capture_output=True, text=True).stdout
+    own, compiled = {}, 0
+    for name, *files in (line.split("\t") for line in said.splitlines()):
+        sizes = {f: Path(f).stat().st_size for f in files if Path(f).is_file()}
+        if name not in ("pip", "setuptools"):
+            bytecode = sum(n for f, n in sizes.items() if f.endswith(".pyc"))
+            compiled += bytecode
+            own[name] = sum(sizes.values()) - bytecode
+    largest = ", ".join(f"{k} {v / 1e6:.0f}" for k, v in sorted(own.items(), key=lambda item: -item[1])[:6])
+    return f"installed {sum(own.values()) / 1e6:.0f} MB and {compiled / 1e6:.0f} MB of bytecode (--no-compile leaves it out); {largest}"
 
 
 def main(wheel: Path) -> None:
@@ -39,13 +53,10 @@ def main(wheel: Path) -> None:
         folder = Path(name)
         subprocess.run([sys.executable, "-m", "venv", str(folder / "venv")], check=True)
         python, insemu = str(folder / "venv" / "bin" / "python"), str(folder / "venv" / "bin" / "insemu")
-        empty = size(folder / "venv")
         limits = ["--constraint", str(ROOT / "constraints.txt")]
         quiet = ["--quiet", "--disable-pip-version-check"]
         subprocess.run([python, "-m", "pip", "install", *quiet, *limits, str(wheel)], check=True)
-        print(
-            f"{wheel.name}: {wheel.stat().st_size / 1e6:.1f} MB; installed, with all it needs: {size(folder / 'venv') - empty:.0f} MB"
-        )
+        print(f"{wheel.name}: {wheel.stat().st_size / 1e6:.1f} MB; {installed(python, folder)}")
         rng = np.random.default_rng(3)
         walk = np.cumsum(rng.standard_normal((SAMPLES, 6)), axis=0)
         for axes, file in ((1, "one.npz"), (6, "six.npz")):

@@ -100,7 +100,9 @@ def read(what: str, path: str) -> str:
         import rosbags.highlevel
         import rosbags.typesys  # noqa: F401  imports do not count
 
-        from insemu.formats import open_files
+        from insemu.formats import known_readers, open_files
+
+        known_readers()
 
         def job() -> str:
             found = open_files(path)

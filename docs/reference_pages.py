@@ -29,6 +29,7 @@ ROOMS = (
     "solve",
     "transfer",
     "array",
+    "require",
     "drives",
     "gap",
     "units",

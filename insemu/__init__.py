@@ -42,7 +42,20 @@ __version__ = "0.1.0"
 #: ``__init__.pyi``.
 _TOP = {
     **dict.fromkeys(
-        ("read", "examine", "fit", "select", "characterise", "run", "emulate", "find_gap", "solve", "plot", "load"),
+        (
+            "read",
+            "examine",
+            "fit",
+            "select",
+            "characterise",
+            "run",
+            "emulate",
+            "find_gap",
+            "solve",
+            "require",
+            "plot",
+            "load",
+        ),
         "api",
     ),
     **dict.fromkeys(

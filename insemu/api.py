@@ -22,12 +22,16 @@ from insemu.records import Recording, Series
 from insemu.shown import ByAxis
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes as Drawing
+    from matplotlib.figure import Figure
+
     from insemu.evaluate import Results
     from insemu.fit import FitResult, Method, Ranking
     from insemu.fit.gmwm import Weighting
     from insemu.gap import GapReport, Nominal, StaticLog
     from insemu.intake import Card
     from insemu.noise import NoiseModel, Process
+    from insemu.require import Answer
     from insemu.scenario import Scenario
     from insemu.solve import Solution
     from insemu.variance import AxisReport
@@ -492,7 +496,47 @@ def solve(
     return one(data, card, beliefs, lever_arm=lever_arm, rate=trajectory_rate, workers=workers)
 
 
-def plot(result: Any, axes: Any = None, *, view: int | str = 0) -> Any:
+def require(
+    requirements: str | Sequence[str],
+    *,
+    track: str | Path = "",
+    vehicle: str = "car",
+    fixes: str = "",
+    aids: str = "",
+    have: str = "",
+    transfer: str | Path = "",
+) -> Answer:
+    """Which IMU keeps a required error at the end of an outage, as ``insemu require`` says it; nothing is written.
+
+    Parameters
+    ----------
+    requirements : str or sequence of str
+        Such as ``"planimetric < 1 m at 95 % after 30 s"``.
+    track : path
+        A track, waypoints, or the name of a built-in trajectory; empty: a drive in town.
+    vehicle : str
+        For a track or waypoints.
+    fixes : str
+        Standard deviations such as ``"2 cm, 3 cm/s"``.
+    aids, have : str
+        See :func:`insemu.require.require`.
+    transfer : path
+        What ``insemu transfer --json`` printed.
+
+    Raises
+    ------
+    InputError
+        What cannot be read, what contradicts itself, and what no sensor can keep.
+    """
+    from insemu.require import require as one
+    from insemu.require import wish_of
+
+    asked = [requirements] if isinstance(requirements, str) else list(requirements)
+    wish = wish_of(str(track), vehicle, fixes)
+    return one(asked, wish, Path("scenario.yaml").absolute(), aids=aids, have=have, road=transfer)
+
+
+def plot(result: Any, axes: Drawing | None = None, *, view: int | str = 0) -> Drawing | Figure:
     """Draw the chart that a page shows of a result, see :func:`insemu.report.plot`.
 
     Parameters

@@ -49,13 +49,16 @@ def frozen(
         expected = "(" + ", ".join("n" if s is None else str(s) for s in shape) + ("," if len(shape) == 1 else "") + ")"
         raise InputError(f"{name} has shape {array.shape}, expected {expected}")
     # the smallest and the largest tell, without a flag per sample of a long record
-    if finite and array.size and not (np.isfinite(array.min()) and np.isfinite(array.max())):
-        first = int(np.argmax(~np.isfinite(array.reshape(array.shape[0], -1)).all(axis=1)))
-        count = int((~np.isfinite(array)).sum())
-        raise InputError(
-            f"{name} has {count} value(s) that are not finite, the first at row {first}; expected finite numbers"
-        )
-    if array.size and np.nanmax(np.abs(array), where=np.isfinite(array), initial=0.0) > largest:
+    size = max(-float(array.min()), float(array.max())) if array.size else 0.0
+    if not np.isfinite(size):
+        good = np.isfinite(array)
+        if finite:
+            first = int(np.argmin(good.reshape(array.shape[0], -1).all(axis=1)))
+            raise InputError(
+                f"{name} has {int((~good).sum())} value(s) that are not finite, the first at row {first}; expected finite numbers"
+            )
+        size = float(np.abs(array).max(where=good, initial=0.0))
+    if size > largest:
         raise InputError(f"{name} holds numbers beyond {largest:g}, expected smaller ones")
     if array is given:
         array = array.view()

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError
 from insemu.guards import LARGEST, finite, frozen, frozen_times, latitudes
+from insemu.rotation import dcm_from_rpy, rpy_from_dcm
 from insemu.sample_times import beat
 from insemu.stamps import OWN, SECOND, Origin, counted
 
@@ -539,10 +540,24 @@ class Recording:
         done = self.preparation
         if done is None:
             return self
-        imu, late, first = replace(self.imu, t=self.imu.t + done.imu_late), done.imu_late, self.initial
-        aids = tuple(a.later(late) for a in self.aids)
-        first = None if first is None else replace(first, t=first.t + late)
-        return replace(self, imu=imu, gnss=done.gnss or self.gnss, aids=aids, initial=first, preparation=None)
+        return replace(self.imu_later(done.imu_late), gnss=done.gnss or self.gnss, preparation=None)
+
+    def imu_later(self, seconds: float) -> Recording:
+        """The same with stamps of the IMU, and of what is on its clock, that are so many seconds later."""
+        if not seconds:
+            return self
+        first = None if self.initial is None else replace(self.initial, t=self.initial.t + seconds)
+        imu = replace(self.imu, t=self.imu.t + seconds)
+        return replace(self, imu=imu, aids=tuple(a.later(seconds) for a in self.aids), initial=first)
+
+    def turned(self, C: Array) -> Recording:
+        """The same with IMU and initial state in other axes: ``C`` (3, 3) turns vectors from those of the file into these."""
+        imu, first = self.imu, self.initial
+        if np.array_equal(C, np.eye(3)):
+            return self
+        if first is not None:
+            first = replace(first, rpy=rpy_from_dcm(dcm_from_rpy(first.rpy) @ C.T))
+        return replace(self, imu=replace(imu, gyro=imu.gyro @ C.T, accel=imu.accel @ C.T), initial=first)
 
     def from_start(self) -> Recording:
         """The same recording with times from the second of its first IMU row, where its clock began longer before than it lasts."""

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 #: Lines that a result prints at most.
 MOST_LINES = 10
@@ -67,9 +69,10 @@ class Shown:
         head = escape(str(self).split("\n", 1)[0])
         return f"<p><b>{head}</b></p>{self.to_dataframe().to_html(max_rows=30, float_format=lambda v: f'{v:.4g}')}"
 
-    def plot(self, axes: Any = None, *, view: int | str = 0) -> Any:
+    def plot(self, axes: Axes | None = None, *, view: int | str = 0) -> Axes | Figure:
         """Draw the chart that a page shows of this, see :func:`insemu.report.plot` (the room that draws, found when it is needed)."""
-        return import_module("insemu.report").plot(self, axes, view=view)
+        drawn: Axes | Figure = import_module("insemu.report").plot(self, axes, view=view)
+        return drawn
 
 
 R = TypeVar("R", bound=Shown)

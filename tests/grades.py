@@ -12,9 +12,9 @@ import numpy as np
 
 from insemu.emulate import built_in, gnss_fixes, ideal_imu
 from insemu.noise import NoiseModel
+from insemu.prepared import prepared
 from insemu.records import AXES, ImuRecord, Recording
 from insemu.solve import GRADES, Candidate, candidates
-from insemu.solve.drive import prepared
 
 #: Standard deviations of the fixes' positions and velocities, m and m/s: a receiver alone, and with corrections.
 RECEIVERS = {"receiver alone": (2.0, 0.1), "with corrections": (0.02, 0.02)}
@@ -46,7 +46,7 @@ class Case:
 
     def nis(self) -> float:
         """NIS per degree of freedom from the start that the program finds."""
-        drive = prepared(self.recording(), (0.0, 0.0, 0.0)).started()
+        drive = prepared(self.recording()).started()
         ekf = self.grade.filter(drive, output_every=100)
         imu, gnss = drive.flown(ekf)
         fixes = ekf.run(imu, self.grade.fixes(gnss), drive.aligned.state, drive.aligned.sigma).fixes

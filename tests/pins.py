@@ -108,7 +108,7 @@ def differences(found: Any, held: Any, where: str = "") -> list[str]:
 
 def kept(room: str) -> Any:
     """What is kept of a room's results."""
-    return yaml.safe_load((FOLDER / f"{room}.yaml").read_text(encoding="utf-8"))
+    return yaml.load((FOLDER / f"{room}.yaml").read_bytes(), Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
 
 
 def main() -> int:

@@ -254,19 +254,20 @@ def test_a_first_column_of_times_is_no_sensor(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", KINDS)
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
-def test_a_truncated_file_is_read_in_part_or_refused(name: str, share: float, tmp_path: Path) -> None:
+def test_a_truncated_file_is_read_in_part_or_refused(name: str, tmp_path: Path) -> None:
     written = KINDS[name](tmp_path)
     files = sorted(p for p in written.path.rglob("*") if p.is_file()) if written.path.is_dir() else [written.path]
     victim = max(files, key=lambda p: p.stat().st_size)
-    victim.write_bytes(victim.read_bytes()[: int(share * victim.stat().st_size)])
-    try:
-        found = _as_recording(written)
-    except InputError as error:
-        assert str(tmp_path) in str(error) or victim.name in str(error)
-        return
-    for record in (found.imu, found.gnss):
-        assert record is None or (np.diff(record.t) > 0).all()
+    content = victim.read_bytes()
+    for share in (0.9, 0.3, 0.0):
+        victim.write_bytes(content[: int(share * len(content))])
+        try:
+            found = _as_recording(written)
+        except InputError as error:
+            assert str(tmp_path) in str(error) or victim.name in str(error), share
+            continue
+        for record in (found.imu, found.gnss):
+            assert record is None or (np.diff(record.t) > 0).all(), share
 
 
 def test_what_a_recording_holds_beside_its_signals_goes_through_the_map(tmp_path: Path) -> None:

@@ -14,9 +14,9 @@ from insemu.formats import read_recording, write
 from insemu.gap import Nominal
 from insemu.gap.drive import starting_state
 from insemu.noise import RC, WN
+from insemu.prepared import Stated, prepared
 from insemu.records import AXES, Recording
 from insemu.scenario import Gnss
-from insemu.solve import prepared
 from tests import start_cases
 
 LARGE = np.array([*np.deg2rad([5.0, -3.0, 4.0]), 0.3, -0.2, 0.25])
@@ -59,6 +59,6 @@ def test_a_start_is_the_same_whenever_its_clock_began(since: float, tmp_path: Pa
     np.savez(tmp_path / "later.npz", **arrays)
     found = []
     for name in ("own", "later"):
-        a = prepared(read_recording(tmp_path / f"{name}.npz"), s.lever_arm).started().aligned
+        a = prepared(read_recording(tmp_path / f"{name}.npz"), Stated(s.lever_arm)).started().aligned
         found.append(np.concatenate([[a.t], a.state.llh, a.state.vel_ned, a.state.rpy, a.bias, a.sigma.to_array()]))
     np.testing.assert_allclose(found[1], found[0], rtol=1e-9, atol=1e-9)

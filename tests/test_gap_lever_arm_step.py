@@ -87,13 +87,18 @@ def train():
     )
 
 
-def test_a_change_is_named_with_its_time_and_closes_the_gap(train) -> None:
-    measured, nominal, hidden, report = train
+def test_a_change_is_named_with_its_time(train) -> None:
+    _, _, hidden, report = train
     (found,) = report.findings
     assert (found.effect, found.sensor, found.axes) == ("lever_arm_step", "gnss", tuple(hidden.axis))
     value, start = found.parameters
     assert value.low < hidden.values["value"] < value.high and start.low < hidden.values["start"] < start.high
     assert 0.1 < found.metres < 10.0
+
+
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
+def test_a_change_that_was_found_closes_the_gap(train) -> None:
+    measured, nominal, _, report = train
     refined = refined_nominal(nominal, applied(report, [1]), measured.imu.dt).parted()
     again = find_gap(measured, refined, rng=np.random.default_rng(1), hold_out=False, pictures=False)
     assert again.verdict == "nothing missing"

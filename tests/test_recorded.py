@@ -20,9 +20,9 @@ from insemu.evaluate.world import _stretches
 from insemu.formats import read_recording, write
 from insemu.gap import Nominal, check, load_nominal
 from insemu.noise import RC, WN
+from insemu.prepared import prepared
 from insemu.records import AXES, ImuRecord, InitialState, Recording
 from insemu.scenario import load
-from insemu.solve import prepared
 from insemu.stamps import SECOND, Origin
 from insemu.transfer import transfer
 
@@ -127,7 +127,7 @@ def test_a_recorded_drive_is_smoothed_and_repeated_rows_are_told(tmp_path: Path,
     assert r.smoothed
     row = summary(r)["designs"]["full"]["outages"][0]
     assert row["smoothed"]["planimetric_max_m"] < row["planimetric_max_m"]
-    assert "of 10001 IMU rows (1.0%) repeat" in r.manifest["warnings"][0]
+    assert "samples of the IMU are lost, where rows repeat the row before: they stay so" in r.manifest["warnings"][0]
     write(tmp_path / "drive.npz", mounted)
     assert Experiment(load(path), path).world.warnings == ()
 
@@ -204,23 +204,23 @@ def test_what_a_recording_does_not_state_is_assumed_and_said(tmp_path: Path, rec
     path = _scenario(tmp_path, gnss={"outages": [{"start": "120 s", "duration": "20 s"}]})
     world = RecordedWorld(load(path), path)
     said = [w for w in world.warnings if "assumed from their scatter" in w]
-    assert len(said) == 2 and "gnss.position_sigma states them" in said[0]
+    assert len(said) == 2
     assert world.gnss.pos_std_ned is not None and 0.05 < float(np.median(world.gnss.pos_std_ned)) < 1.0
     path = _scenario(tmp_path)
     assert not any("assumed" in w for w in RecordedWorld(load(path), path).warnings)
 
 
-def test_gaps_in_the_imu_are_bridged_within_a_second_and_refused_beyond(tmp_path: Path, recording: Recording) -> None:
+def test_gaps_in_the_imu_are_bridged_within_a_second_and_the_longest_stretch_is_flown_beyond(
+    tmp_path: Path, recording: Recording
+) -> None:
     imu = _mounted(recording).imu
-    for seconds, message in ((0.4, "1 gaps in the IMU data, up to 0.4"), (17.0, "no IMU data for 17 s")):
+    for seconds, message in ((0.4, "1 gap(s) in the IMU data, up to 0.4"), (17.0, "the longest stretch without one")):
         keep = (imu.t <= 60.0) | (imu.t >= 60.0 + seconds - 0.01)
         write(tmp_path / "drive.npz", replace(_mounted(recording), imu=imu.rows(keep)))
         path = _scenario(tmp_path)
-        if seconds < 1.0:
-            assert any(message in w for w in RecordedWorld(load(path), path).warnings)
-        else:
-            with pytest.raises(InputError, match=message):
-                RecordedWorld(load(path), path)
+        world = RecordedWorld(load(path), path)
+        assert any(message in w for w in world.warnings)
+        assert (world.vehicle_imu.t[0] > 60.0) == (seconds > 1.0)
 
 
 @pytest.mark.parametrize("name", ["drive.npz", "folder"])

@@ -38,16 +38,17 @@ def test_a_mutated_scenario_is_read_or_refused_in_words(
         str(error).encode()  # can be printed
 
 
-@pytest.mark.parametrize("odd", ODD)
 @pytest.mark.parametrize(
     "place",
     ["seed: {}", "title: {}", "truth: {}", "truth: {{gyro: {}}}", "gnss: {{lever_arm: {}}}", "designs: {{a: {}}}"],
 )
-def test_odd_values_are_refused_in_words(tmp_path: Path, place: str, odd: str) -> None:
+def test_odd_values_are_refused_in_words(tmp_path: Path, place: str) -> None:
     path = tmp_path / "s.yaml"
-    path.write_text(place.format(odd), encoding="utf-8")
-    with pytest.raises(InputError):
-        load(path)
+    for odd in ODD:
+        path.write_text(place.format(odd), encoding="utf-8")
+        with pytest.raises(InputError):
+            print(f"read without a word: {place.format(odd)}")  # pytest shows it where nothing is raised
+            load(path)
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n != "ok name 1"])

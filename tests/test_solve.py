@@ -22,13 +22,13 @@ from insemu.formats import read_recording
 from insemu.formats import write as write_recording
 from insemu.gap import Nominal, session
 from insemu.noise import WN, NoiseModel
+from insemu.prepared import prepared, velocity_lag
 from insemu.records import GnssRecord, ImuRecord, Recording
 from insemu.report import solve_answer
 from insemu.scenario import load
-from insemu.solve import Solution, candidates, cut_everywhere, prepared, solve, summary, way_of_solution, write
+from insemu.solve import Solution, candidates, cut_everywhere, solve, summary, way_of_solution, write
 from insemu.solve.against import compare_with
 from insemu.solve.beliefs import adapted, clock_offset, likelihood_of
-from insemu.solve.drive import velocity_lag
 from insemu.solve.outages import Outages, gaps_of
 from insemu.solve.outliers_of_fixes import outlying
 from insemu.solve.solution import Scored, Track, flown
@@ -209,7 +209,7 @@ def test_a_tunnel_is_a_gap_of_its_own_and_no_outage_begins_in_it(solution: Solut
     inside = (drive.gnss.t > 150.2) & (drive.gnss.t < 190.1)
     tunnel = replace(drive, gnss=drive.gnss.rows(~inside))
     run = flown(c.filter(tunnel, store="fixes", node_every=1.0), tunnel, c)
-    o = cut_everywhere(c.filter(tunnel), run, drive.flown(c.filter(drive))[0], tunnel.reference(), workers=2)
+    o = cut_everywhere(c.filter(tunnel), run, drive.flown(c.filter(drive))[0], tunnel.scattered(), workers=2)
     last = float(tunnel.gnss.t[tunnel.gnss.t < 160.0][-1])
     step = float(np.median(np.diff(drive.gnss.t)))
     assert o.start.size > 100 and not ((o.start > last + 1.5 * step + 1e-6) & (o.start < 190.0)).any()
@@ -250,7 +250,7 @@ def test_fixes_that_state_too_much_are_judged_by_their_scatter(solution: Solutio
     assert adapted(one, large).position == pytest.approx(1.0)
     found = adapted(one, large, overstated=True)
     assert (found.position, found.velocity) == pytest.approx((0.1, 0.1), rel=0.15)
-    judged = replace(large, scatter=(found.position, found.velocity)).reference().pos_std_ned
+    judged = replace(large, scatter=(found.position, found.velocity)).scattered().pos_std_ned
     assert judged == pytest.approx(0.1, rel=0.15)
 
 

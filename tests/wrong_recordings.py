@@ -173,8 +173,11 @@ def stamps(factor: float) -> Spoil:
     return _imu(lambda i: replace(i, t=i.t * factor))
 
 
-POSITIONS = {"velocity": False}
-PHONE = {"velocity": False, "sigma": 2.0, "grade": 3.0}
+#: What takes that long to be told, s.
+LONG = {"seconds": 240.0}
+POSITIONS = {"velocity": False} | LONG
+PHONE = {"velocity": False, "sigma": 2.0, "grade": 3.0} | LONG
+FLIGHT = {"which": "turbulent_uav"} | LONG
 WRONG: tuple[Wrong, ...] = (
     Wrong("gyro in deg/s", {}, scaled(gyro=180 / np.pi), "gyro_unit=deg/s"),
     Wrong("gyro in deg/s, positions only", POSITIONS, scaled(gyro=180 / np.pi), "gyro_unit=deg/s"),
@@ -211,33 +214,38 @@ WRONG: tuple[Wrong, ...] = (
     Wrong("latitude in radians", {}, in_radians(), "pos_unit=rad"),
     Wrong("latitude in radians, positions only", POSITIONS, in_radians(), "pos_unit=rad"),
     Wrong("velocities east, north, up", {}, velocities((1, 0, 2), (1, 1, -1)), "velocity=enu"),
-    Wrong("third velocity up, flight", {"which": "turbulent_uav"}, velocities((0, 1, 2), (1, 1, -1)), "velocity=neu"),
+    Wrong(
+        "third velocity up, flight",
+        FLIGHT,
+        velocities((0, 1, 2), (1, 1, -1)),
+        "velocity=neu",
+    ),
     Wrong(
         "third velocity up, helicopter",
-        {"which": "helicopter_mapping"},
+        {"which": "helicopter_mapping"} | LONG,
         velocities((0, 1, 2), (1, 1, -1)),
         "velocity=neu",
     ),
     Wrong("velocities in knots", {}, velocities((0, 1, 2), (1, 1, 1), 3600 / 1852), "vel_unit=knots"),
     Wrong("heights above sea level", {"referenced": True}, moved(0.0, 0.0, 47.0), "gnss_move=0 0 -4"),
     Wrong("another datum", {"referenced": True, "ahead": 1.5}, moved(80.0, -120.0, 0.0), "gnss_move=-8|gnss_move=-79"),
-    Wrong("fixes late by 0.6 s", {"which": "turbulent_uav"}, late(0.6), "gnss_shift=-0."),
-    Wrong("fixes late by 0.6 s, few turns", {}, late(0.6), "nothing here distinguishes: the fixes are 0.6"),
-    Wrong("gyroscope late by 0.4 s", {"which": "turbulent_uav"}, delayed(0.4, "gyro"), "gyro_shift=-0."),
-    Wrong("accelerometer early by 0.4 s", {"which": "turbulent_uav"}, delayed(-0.4, "accel"), "accel_shift=+0."),
+    Wrong("fixes late by 0.6 s", FLIGHT, late(0.6), "gnss_shift=-0."),
+    Wrong("fixes late by 0.6 s, few turns", LONG, late(0.6), "nothing here distinguishes: the fixes are 0.6"),
+    Wrong("gyroscope late by 0.4 s", FLIGHT, delayed(0.4, "gyro"), "gyro_shift=-0."),
+    Wrong("accelerometer early by 0.4 s", FLIGHT, delayed(-0.4, "accel"), "accel_shift=+0."),
     Wrong("fixes late by 2 s, positions only", POSITIONS, late(2.0), "gnss_shift=-"),
     Wrong("fixes early by 18 s (leap seconds)", {}, late(-18.0), "gnss_shift=+1"),
     Wrong("fixes on another clock", {}, late(1.4e9), "not one clock"),
     Wrong(
         "20 s of the IMU lost without stamps",
-        {"which": "turbulent_uav"},
+        FLIGHT,
         closed_up(20.0),
         "s on the IMU predicts the velocities",
     ),
-    Wrong("positions of four decimals", {}, rounded(4), "4 decimals of a degree: steps of 11 m"),
+    Wrong("positions of four decimals", LONG, rounded(4), "4 decimals of a degree: steps of 11 m"),
     Wrong(
         "velocities of the fix before",
-        {"which": "turbulent_uav"},
+        FLIGHT,
         held_back(1),
         "the velocities come 1.0 s late against the positions",
     ),

@@ -24,6 +24,7 @@ COMMANDS: dict[str, str] = {
     "run": "run",
     "merge": "merge",
     "sweep": "sweep",
+    "require": "require",
     "compare": "compare",
     "reproduce": "reproduce",
     "regress": "regress",

@@ -28,7 +28,7 @@ def command(
     from insemu.cli.printing import print_items
     from insemu.emulate import dead_reckon
     from insemu.formats import read_recording
-    from insemu.solve import prepared
+    from insemu.prepared import prepared
 
     console = Console(stderr=True)
     announce(recording, console)

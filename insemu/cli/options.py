@@ -31,6 +31,7 @@ ARGUMENTS: dict[str, str] = {
     "FILE": "File.",
     "REFERENCE": "Recording of the better IMU on the same mount.",
     "UNIT": "Recording of the IMU whose errors are wanted.",
+    "REQUIREMENT...": "Such as 'planimetric < 1 m at 95 % after 30 s' (planimetric, height, velocity, heading); all have to hold.",
     "ACTION": "What to do.",
     "[FILE]": "File to write.",
     "[NAME]": "Name.",
@@ -65,6 +66,16 @@ OPTIONS: dict[str, tuple[str, str]] = {
     "--same-as": ("LOG", "Another log: test axis by axis whether both have one noise model (wavelet variances)."),
     "--held-out": ("LOG", "Another log of the same sensor, which the choice predicts; may be repeated."),
     "--track": ("FILE", "Own motion: a track (recording, GPX, CSV) or waypoints (CSV, GeoJSON)."),
+    "--fixes": (
+        "'1 m, 5 cm/s'",
+        "Standard deviations of the fixes: horizontal position, velocity; down twice as much.",
+    ),
+    "--aids": (
+        "NAME=SIGMA,...",
+        "Aids as alternatives: 'odometer=0.05 m/s, heading=0.5 deg, barometer=1 m, standstill'.",
+    ),
+    "--have": ("NAME|FILE", "The sensor card that one has, to be flown whatever it reaches."),
+    "--transfer": ("FILE", "Factors between bench and vehicle, put on all cards: what insemu transfer --json printed."),
     "--vehicle": ("NAME", "Kind of vehicle, such as car, multirotor or boat: how it moves and leans."),
     "--like": ("NAME", "Copy this scenario that comes with insemu, with the files that it needs."),
     # what goes out

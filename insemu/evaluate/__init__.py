@@ -16,8 +16,8 @@ from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.errors import COMPONENTS, bootstrap_mean, navigation_error, paired_ratio, within_outage
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.folder import CACHE, MARKER, check_not_fewer, finish, only_writer, resolved, write, write_summary
+from insemu.evaluate.netcdf import write_netcdf
 from insemu.evaluate.provenance import changed, differences, surroundings
-from insemu.evaluate.recorded import BRIDGED_S
 from insemu.evaluate.regression import Alteration, Baseline, Change, check, smallest_detectable, trial
 from insemu.evaluate.results import (
     Results,
@@ -40,10 +40,9 @@ from insemu.evaluate.twin import LinearTwin
 from insemu.evaluate.until import Goal, Look, looks
 from insemu.evaluate.verdict import Verdict
 from insemu.evaluate.ways import ways_of_run
-from insemu.evaluate.world import World
+from insemu.evaluate.world import World, input_files
 
 __all__ = [
-    "BRIDGED_S",
     "CACHE",
     "COMPONENTS",
     "MARKER",
@@ -86,6 +85,7 @@ __all__ = [
     "finish",
     "fly_part",
     "front",
+    "input_files",
     "kendall",
     "lag_products",
     "looks",
@@ -115,5 +115,6 @@ __all__ = [
     "with_designs",
     "within_outage",
     "write",
+    "write_netcdf",
     "write_summary",
 ]

@@ -19,6 +19,7 @@ import portalocker
 import yaml
 
 from insemu.errors import InputError
+from insemu.evaluate.netcdf import write_netcdf
 from insemu.evaluate.provenance import CRATE, crate, sha256
 from insemu.evaluate.results import Results, outage_rows, summary
 from insemu.scenario import Scenario
@@ -150,9 +151,7 @@ def write(results: Results, folder: Path) -> None:
         table.writerows(rows)
     put(folder / "outages.csv", stream.getvalue())
     with replacing(folder / "errors.nc") as partial:
-        results.to_dataset().to_netcdf(partial, engine="h5netcdf")
-        results.runs.to_netcdf(partial, engine="h5netcdf", group="runs", mode="a")
-        results.statistics.to_netcdf(partial, engine="h5netcdf", group="statistics", mode="a")
+        write_netcdf(partial, {"": results.to_dataset(), "runs": results.runs, "statistics": results.statistics})
 
 
 def write_summary(results: Results, folder: Path) -> None:

@@ -23,23 +23,15 @@ from insemu.filters import (
     Standstill,
     cut,
     rests,
-    with_standard_deviations,
 )
-from insemu.filters import start as start_of
 from insemu.formats import read_recording
 from insemu.intake import Card, examine
-from insemu.lost import restored
-from insemu.records import GnssRecord, ImuRecord, Recording, Trajectory
+from insemu.prepared import Drive, Stated, prepared
+from insemu.records import ImuRecord, Recording, Trajectory
 from insemu.scenario import Scenario
 from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
-
-
-#: A gap in the IMU data of up to so many seconds is crossed in one step: what a vehicle does within is a mean, and no more than a second of it.
-BRIDGED_S = 1.0
-#: Share of repeated IMU rows from which a recording is warned about.
-REPEATED = 0.002
 
 
 class RecordedWorld:
@@ -66,84 +58,32 @@ class RecordedWorld:
         self.scenario, self.file, self.source = scenario, file, scenario.recording
         self.files = input_files(scenario, file)
         self.path_distance_m = 0.0
-        recording = read_recording(self.files[self.source.file])
-        self.warnings = tuple(_repeated_rows(recording.imu, self.source.file))
-        if recording.gnss is None:
-            raise InputError("has no GNSS fixes, which the designs need", where=self.source.file)
-        self.recorded_imu, self.origin = recording.imu, recording.origin
-        self.notes, self.reading = recording.notes, recording.reading
-        C = rotation.dcm_from_rpy(self.source.mounting)
-        self.vehicle_imu = self._in_vehicle(self.recorded_imu)
-        self.warnings += tuple(_bridged(self.vehicle_imu, self.source.file))
-        late = self.source.imu_time_offset  # aids are on the IMU's clock
-        self.aids = tuple(a.later(-late) for a in recording.aids)
-        self.known = None
-        if recording.initial is not None:
-            attitude = rotation.dcm_from_rpy(recording.initial.rpy) @ C.T
-            self.known = replace(recording.initial, rpy=rotation.rpy_from_dcm(attitude))
-        gnss = recording.gnss
-        inside = (gnss.t >= self.vehicle_imu.t[0]) & (gnss.t <= self.vehicle_imu.t[-1])
-        inside &= np.isfinite(gnss.llh).all(axis=1)
-        if inside.sum() < 2:
-            raise InputError("has no GNSS fixes within its IMU data", where=self.source.file)
-        self.gnss = self._with_sigmas(gnss).rows(inside)
-        self.reference = recording.reference
+        self.measured = read_recording(self.files[self.source.file])
+        self.drive = self._prepared()
+        self.vehicle_imu, self.gnss, self.reference = self.drive.imu, self.drive.gnss, self.measured.reference
+        self.warnings = tuple(f"{self.source.file}: {said}" for said in self.drive.said)
 
-    def _in_vehicle(self, imu: ImuRecord) -> ImuRecord:
-        """The scenario's span of the IMU, in vehicle axes and on the scenario's clock."""
-        C = rotation.dcm_from_rpy(self.source.mounting)
-        imu = replace(imu, t=imu.t - self.source.imu_time_offset)
-        keep = np.ones(len(imu), dtype=bool)
-        if self.source.start is not None:
-            keep &= imu.t >= self.source.start
-        if self.source.end is not None:
-            keep &= imu.t <= self.source.end
-        if keep.sum() < 2:
-            raise InputError(
-                "the span from start to end holds no IMU data", where=f"{self.file or 'scenario'}: recording"
-            )
-        return replace(imu, gyro=imu.gyro @ C.T, accel=imu.accel @ C.T).rows(keep)
-
-    def _with_sigmas(self, gnss: GnssRecord) -> GnssRecord:
-        """Standard deviations of the receiver where it states them, else the scenario's; what neither says is assumed, and said."""
-        g = self.scenario.gnss
-        asked = g.model_fields_set
-        known, assumed = with_standard_deviations(
-            gnss,
-            g.position_sigma if "position_sigma" in asked else None,
-            g.velocity_sigma if "velocity_sigma" in asked else None,
-        )
-        self.warnings += tuple(
-            f"{self.source.file}: {said} (gnss.{'position' if what == 'positions' else 'velocity'}_sigma states them)"
-            for what, said in assumed.items()
-            if what == "positions" or g.velocity_sigma is not None
-        )
-        return known
+    def _prepared(self, *, mended: bool = False) -> Drive:
+        """The recording as the scenario states it."""
+        s, g = self.source, self.scenario.gnss
+        sigmas = {k: getattr(g, k) for k in ("position_sigma", "velocity_sigma") if k in g.model_fields_set}
+        stated = Stated(g.lever_arm, s.mounting, s.imu_time_offset, s.start, s.end, **sigmas)
+        where, believed = f"{self.file or 'scenario'}: recording", g.velocity_sigma is not None
+        asked = replace(stated, with_velocity=believed, how=s.alignment, gravity=s.gravity, mended=mended)
+        return prepared(self.measured, replace(asked, shortest=0.0, where=where))
 
     @cached_property
     def card(self) -> Card:
         """What the recording was taken for, in vehicle axes and on the scenario's clock."""
-        imu, fixes, reference = self.vehicle_imu, self.gnss, self.reference
-        return examine(
-            Recording(
-                imu, fixes, reference, self.source.file, origin=self.origin, remarks=self.notes, reading=self.reading
-            )
-        )
+        held = replace(self.measured, imu=self.vehicle_imu, gnss=self.gnss, source=self.source.file)
+        return examine(replace(held, remarks=self.measured.notes))
 
     @cached_property
     def alignment(self) -> Alignment:
         """Where the filters start."""
-        try:
-            return start_of(
-                self.vehicle_imu,
-                self.gnss,
-                how=self.source.alignment,
-                known=self.known,
-                lever_arm=self.scenario.gnss.lever_arm,
-                gravity=self.source.gravity,
-            )
-        except InputError as error:
-            raise InputError(error.message, where=f"{self.file or 'scenario'}: recording.alignment") from None
+        drive = self.drive.started()
+        self.warnings += tuple(f"{self.source.file}: {said}" for said in drive.left_out)
+        return drive.aligned
 
     @property
     def rate_hz(self) -> float:
@@ -191,7 +131,9 @@ class RecordedWorld:
             withheld |= Outage(start, duration).covers(gnss.t)
         kept = gnss.rows((gnss.t > self.alignment.t) & ~withheld)
         imu = cut(self.vehicle_imu, self.alignment)
-        return Recording(imu, kept, self.reference, self.source.file, self.aids, self.known, self.origin)
+        return Recording(
+            imu, kept, self.reference, self.source.file, self.drive.aids, self.drive.known, self.drive.origin
+        )
 
     def imu_for(self, imu: ImuRecord, ekf: NavigationFilter) -> ImuRecord:
         """The data of :meth:`recording` as one filter flies them: a bias that it knows better than the alignment is put back."""
@@ -203,7 +145,7 @@ class RecordedWorld:
 
     def restored(self, recording: Recording) -> Recording:
         """The recording with what its raw file shows to be lost filled in."""
-        whole = self._in_vehicle(restored(self.recorded_imu)[0])
+        whole = self._prepared(mended=True).imu
         first = int(np.searchsorted(whole.t, self.vehicle_imu.t[self.alignment.row]))
         return replace(recording, imu=cut(whole, replace(self.alignment, row=first)))
 
@@ -276,30 +218,3 @@ class RecordedWorld:
             P[:, :used, :used] += np.eye(used) * R[:, None, :used]
         sigma = np.sqrt(np.einsum("tii->ti", P))
         return Scored(error, sigma, nees(np.nan_to_num(error[:, :used]), P[:, :used, :used]) * 9.0 / used)
-
-
-def _bridged(imu: ImuRecord, name: str) -> list[str]:
-    """A warning where stamps skip and the step over the gap is one; refused where that is longer than :data:`BRIDGED_S`."""
-    gaps = imu.gaps(2.5 * imu.dt)
-    if not gaps:
-        return []
-    at, longest = max(gaps, key=lambda g: g[1])
-    if longest > BRIDGED_S:
-        raise InputError(
-            f"has no IMU data for {longest:.3g} s from {at:.6g} s, expected gaps of at most {BRIDGED_S:g} s; recording.start or recording.end "
-            "can leave it out",
-            where=name,
-        )
-    return [f"{name}: {len(gaps)} gaps in the IMU data, up to {longest:.2g} s, are each crossed in one step"]
-
-
-def _repeated_rows(imu: ImuRecord, name: str) -> list[str]:
-    """A warning where the recorder has read samples twice: it has then lost others, and vibration becomes low-frequency noise."""
-    count = int(imu.repeated().sum())
-    if count < REPEATED * len(imu):
-        return []
-    return [
-        f"{name}: {count} of {len(imu)} IMU rows ({count / len(imu):.1%}) repeat the row before in all six channels: the recorder and the "
-        "sensor run on clocks of their own, and what falls between them is lost; vibration then becomes noise at low frequencies "
-        "(a design that compensates dropped_samples flies them filled in)"
-    ]

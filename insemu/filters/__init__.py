@@ -34,11 +34,13 @@ from insemu.filters.rest import never_moves, rests
 from insemu.filters.results import FilterResult, FixTable, Nodes, log_density
 from insemu.filters.smoothed import cross_covariance, sigma_at, smoothed_at
 from insemu.filters.smoother import SmootherResult, smooth
-from insemu.filters.start import start
-from insemu.filters.twin import Carried, Intervals, LinearErrors, carried, driven, transitions
+from insemu.filters.start import How, start
+from insemu.filters.twin import Carried, Intervals, LinearErrors, basis, carried, driven, transitions
+from insemu.filters.two_way import BRIDGED_S
 
 __all__ = [
     "AIDS",
+    "BRIDGED_S",
     "FAMILIES",
     "FIX",
     "SAME_TIME",
@@ -55,6 +57,7 @@ __all__ = [
     "FilterResult",
     "FixTable",
     "Gains",
+    "How",
     "InitialSigma",
     "Innovations",
     "Intervals",
@@ -71,6 +74,7 @@ __all__ = [
     "align",
     "align_at_rest",
     "align_in_motion",
+    "basis",
     "carried",
     "check_result",
     "cross_covariance",

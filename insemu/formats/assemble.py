@@ -131,8 +131,8 @@ def columns_of(table: Table, user: ColumnMap, story: Story) -> Columns | None:
         if f"{role}_axes" in used.settings:
             values[role] = values[role] @ axis_order(used.settings[f"{role}_axes"], where).T
         _say(role, found, units, story, table)
-    picked = {names[k] for role, picks in used.picks.items() for k, _ in resolve(role, picks, names, where)}
-    if unused := [name for name in names if name not in picked]:
+    named = {names[k] for role, picks in used.picks.items() for k, _ in resolve(role, picks, names, where)}
+    if unused := [name for name in names if name not in named]:
         more = f" and {len(unused) - NAMED} more" if len(unused) > NAMED else ""
         story.taken.append(f"nothing from {', '.join(unused[:NAMED])}{more} of {where}")
     kind = _kind(used.settings, integrals, where)
@@ -415,11 +415,11 @@ def _delayed(t: Array, gyro: Array, accel: Array, part: Columns, story: Story) -
         for name, shift in zip(("gyroscope", "accelerometer"), shifts, strict=True)
         if shift
     ]
-    moved = [
+    gyro, accel = (
         v[inside] if not shift else np.column_stack([np.interp(t[inside], t + shift, c) for c in v.T])
         for v, shift in zip((gyro, accel), shifts, strict=True)
-    ]
-    return inside, *moved
+    )
+    return inside, gyro, accel
 
 
 def _rows(part: Columns, rows: NDArray[np.intp]) -> Columns:

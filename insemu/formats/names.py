@@ -37,6 +37,8 @@ def english(name: str) -> str:
     plain = "".join(c for c in plain if not unicodedata.combining(c)).replace("ß", "ss").replace("ł", "l")
     low = plain.lower().replace("_", " ")
     for word, wanted in _ENGLISH:
+        if word not in low:
+            continue
         edge = r"(?<![a-z])" if word.isascii() else ""
         close = r"(?![a-z])" if word.isascii() else ""
         found = re.search(f"{edge}{re.escape(word)}{close}", low)

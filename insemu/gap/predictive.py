@@ -259,8 +259,8 @@ def check(
     if recordings < 20:
         raise InputError(f"{recordings} emulated recordings say nothing of a band, expected at least 20")
     progress("the motion of the recording")
-    measured = measured.as_measured()
-    believed, assumed = model.parted().on(measured)
+    believed, drive = model.parted().on(measured)
+    measured = drive.measured
     twin, own = twin_of(measured, believed)
     names, values = statistics_of(own)
     ends = outage_errors(own, twin.outages)
@@ -289,7 +289,7 @@ def check(
         for name, *row in zip(names, values, low, middle, high, share, strict=True)
     )
     bands = np.nanquantile(metres[:, known], [0.05, 0.5, 0.95], axis=0)
-    return Check(recordings, statistics, OutageErrors(twin.outages[known], ends[known], *bands), assumed)
+    return Check(recordings, statistics, OutageErrors(twin.outages[known], ends[known], *bands), drive.said)
 
 
 def _identity(measured: Recording, model: Nominal) -> str:

@@ -30,6 +30,7 @@ from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.problems.together import MOST_TURNS, left
 from insemu.gap.verdict import Finding, GapReport, Interval, half_sample_said, held_out_said, judged
 from insemu.gap.worth import worth_of_mounting, worth_of_settled
+from insemu.prepared import left_out
 from insemu.records import AXES, Recording
 
 #: How often the search of a drive runs once more about what is strong, at the most.
@@ -85,12 +86,12 @@ def find_gap(
     """
     believed, assumed = nominal.parted(), tuple[str, ...]()
     if isinstance(measured, Recording):
-        measured = measured.as_measured()  # what was taken off beforehand is a finding
-        believed, assumed = believed.on(measured)
-        assumed = (*assumed, *measured.remarks)
+        believed, drive = believed.on(measured)
+        measured = drive.measured  # what was taken off beforehand is a finding
+        assumed = tuple(dict.fromkeys((*drive.said, *measured.remarks)))
     with under(policy):
         report = _find(measured, believed, rng, without, hold_out, pictures, progress or (lambda _: None), flown, pool)
-    return replace(report, assumed=assumed)
+    return replace(report, assumed=(*assumed, *report.assumed))
 
 
 def _find(
@@ -184,6 +185,8 @@ def _drive(
     known = struck_out(drive_without(measured, now, {})[0], recording)
     report = replace(report, outliers=both_told(measured, known, report.outliers))
     out = _together(report, early, mounted, nominal)
+    assert measured.gnss is not None
+    out = replace(out, assumed=left_out(measured.imu, measured.gnss, float(first.prepared.imu.t[0])))
 
     def search(recording: Recording, moved: Nominal) -> GapReport:
         return find_dynamic_gap(recording, moved, rng=rng, without=skip, progress=say)[0]

@@ -27,8 +27,8 @@ GAP = 1.5
 RATES = (1.0, 2.0e4)
 #: Share by which a factor may differ from 1 before it is named, and from a known factor to be recognised.
 NEAR, KNOWN = 0.25, 0.2
-#: Slope over its standard error from which a regression is believed, and from which it refuses; fewest intervals for either.
-BELIEVED, REFUSES, FEWEST = 8.0, 12.0, 20
+#: Slope over its standard error from which a regression is believed; fewest intervals for that.
+BELIEVED, FEWEST = 8.0, 20
 #: Correlation of the turn of gravity with the gyroscope's from which their ratio is believed.
 TILTED = 0.8
 #: Shortest record of which it is asked whether it was moved, s; a second moves that spreads by so many times the median second.

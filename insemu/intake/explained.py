@@ -121,11 +121,13 @@ class Windows:
         self.length = max(WINDOW, STEPS * max(gap, spans))
         self._piece = max(PIECE, imu.dt)
         self._starts = self._spread()
+        self._latest: tuple[tuple[object, ...], tuple[Array, ...]] | None = None  # tables of a reading without biases
 
     def fewer(self, most: int) -> Windows:
         """Some of the windows, spread over the record."""
         out = copy(self)
         out.__dict__.pop("_edges", None)
+        out._latest = None
         out._piece = max(2.0 * PIECE, self._imu.dt)
         out._starts = self._starts[np.unique(np.linspace(0, self.count - 1, min(most, self.count)).astype(int))]
         return out
@@ -229,13 +231,11 @@ class Windows:
         y = self._track.velocity[rows] * [1.0, reading.east, reading.down]
         when = self._track.t[rows] + reading.shift
         y = y - np.array([0.0, 0.0, GRAVITY]) * (when - self._starts[:, None])[..., None]
-        forces = self._pieces(self._sums[1], reading.lag) @ reading.accel.T
         if other:
             y, weight = np.roll(y, other, axis=0), weight * np.roll(weight, other, axis=0)
         y = _centred(y, weight)
         for done in range(passes + 1):
-            C, turns = self.attitudes(reading.gyro, bias[:3])
-            q, columns = self._predicted(C, turns, forces, when)
+            q, columns = self._predicted(self._tables(reading, bias[:3]), when)
             q, columns = _centred(q + columns[..., 3:] @ bias[3:], weight), _centred(columns, weight)
             R, scale = _wahba(y, q, weight)
             rest = (y @ R - q) * weight[..., None]  # in the axes of the window's beginning
@@ -247,16 +247,30 @@ class Windows:
         nats = -0.5 * float(np.sum(numbers * np.log1p(squares / (numbers * self.floor**2))))
         return Explained(reading, nats, np.sqrt(squares / numbers), scale, bias, int(numbers.sum()))
 
-    def _predicted(self, C: Array, turns: Array, forces: Array, when: Array) -> tuple[Array, Array]:
-        """Changes of velocity (w, k, 3) at the times of the track, and their derivatives by the nine numbers (w, k, 3, 9)."""
+    def _tables(self, reading: Reading, bias: Array) -> tuple[Array, ...]:
+        """At the edges of the pieces: change of velocity, its derivatives by errors of forces and rates, and attitude, (w, s + 1, 3[, 3])."""
+        key = (reading.gyro.tobytes(), reading.accel.tobytes(), reading.lag, bias.tobytes())
+        if (
+            self._latest is not None and self._latest[0] == key
+        ):  # readings of other times of the fixes begin with the same
+            return self._latest[1]
         h = self._piece
+        C, turns = self.attitudes(reading.gyro, bias)
         middle = C[:, :-1] + 0.5 * (C[:, :-1] @ rotation.skew(turns))
-        moved = np.einsum("wsij,wsj->wsi", middle, forces)
+        moved = np.einsum("wsij,wsj->wsi", middle, self._pieces(self._sums[1], reading.lag) @ reading.accel.T)
         J = _sum(h * middle)  # of an error of the rate: how far it has turned the axes
         bent = _sum(rotation.skew(moved) @ (0.5 * (J[:, 1:] + J[:, :-1])))
         V, A = _sum(moved), J
         if self._spans:
             V, A, bent = (_sum(0.5 * h * (x[:, 1:] + x[:, :-1])) for x in (V, A, bent))
+        if not bias.any():
+            self._latest = key, (V, bent, A, C)
+        return V, bent, A, C
+
+    def _predicted(self, tables: tuple[Array, ...], when: Array) -> tuple[Array, Array]:
+        """Changes of velocity (w, k, 3) at the times of the track, and their derivatives by the nine numbers (w, k, 3, 9)."""
+        V, bent, A, C = tables
+        h = self._piece
         half = 0.5 * self._spans or HALF
 
         def at(table: Array, t: Array) -> Array:

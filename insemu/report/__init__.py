@@ -43,6 +43,7 @@ from insemu.report.plotting import plot
 from insemu.report.predictive import render_check
 from insemu.report.preview import PREVIEWED, preview_notes, preview_rows, render_preview
 from insemu.report.regressors import coefficient_rows, render_regressed
+from insemu.report.require import aid_rows, frontier_rows, place_rows, render_require, require_notes, require_rows
 from insemu.report.serve import server
 from insemu.report.solve import (
     calibration_lines,
@@ -84,6 +85,7 @@ __all__ = [
     "PREVIEWED",
     "SMOOTHED",
     "SWEPT",
+    "aid_rows",
     "array_answer",
     "band_rows",
     "beside",
@@ -112,10 +114,12 @@ __all__ = [
     "fits_answer",
     "folded_said",
     "following_answer",
+    "frontier_rows",
     "gap_headline",
     "is_better",
     "judged_rows",
     "outage_rows_of",
+    "place_rows",
     "plot",
     "pooled_rank_line",
     "preview_notes",
@@ -137,9 +141,12 @@ __all__ = [
     "render_reckoning",
     "render_regressed",
     "render_regression",
+    "render_require",
     "render_solution",
     "render_sweep",
     "render_transfer",
+    "require_notes",
+    "require_rows",
     "segment_rows",
     "sensor_axes",
     "server",

@@ -232,8 +232,8 @@ def nees_chart(results: Results, confidence: float = 0.99) -> Chart:
     ]
     return _over_time(
         "Consistency",
-        f"NEES (normalised estimation error squared) of the navigation states per degree of freedom, mean over {results.realizations} "
-        "realizations; 1 is a filter that knows its error, larger is optimistic.",
+        "NEES (normalised estimation error squared) of the navigation states per degree of freedom, mean over "
+        f"{count_of(results.realizations, 'realization')}; 1 is a filter that knows its error, larger is optimistic.",
         results.t[at] / 60.0,
         views=[View("NEES", "NEES per degree of freedom", lines, log_y=True)],
         spans=_spans(results),

@@ -8,10 +8,11 @@ import os
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jinja2 import Environment, StrictUndefined
+from jinja2 import Environment, StrictUndefined, Template
 from markupsafe import Markup
 
 from insemu import __version__
@@ -182,6 +183,11 @@ def charts_of(sections: Iterable[Section]) -> list[Chart]:
     return [chart for s in sections for chart in inside(s.blocks)]
 
 
+@cache
+def _template() -> Template:
+    return Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True).from_string(asset("page.html"))
+
+
 def document(
     title: str,
     sections: Sequence[Section],
@@ -203,8 +209,7 @@ def document(
     forms : bool
         Whether the page may send what a :class:`Form` holds to the server that it came from.
     """
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    return environment.from_string(asset("page.html")).render(
+    return _template().render(
         title=title,
         about=About(kind, title, answer, source, cards),
         answer=answer,

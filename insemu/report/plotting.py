@@ -24,6 +24,7 @@ from insemu.variance import AxisReport
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def chart_of(result: Any) -> Chart:
@@ -53,7 +54,7 @@ def chart_of(result: Any) -> Chart:
     )
 
 
-def plot(result: Any, axes: Axes | None = None, *, view: int | str = 0) -> Any:
+def plot(result: Any, axes: Axes | None = None, *, view: int | str = 0) -> Axes | Figure:
     """Draw the chart that a page shows of a result.
 
     Parameters

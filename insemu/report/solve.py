@@ -17,8 +17,6 @@ from insemu.units import datasheet
 
 #: Epochs of a chart at most.
 MOST_EPOCHS = 1500
-#: Share of a recording from which it is said that it is not solved.
-LEFT_OUT = 0.05
 
 
 def solve_answer(s: Solution) -> str:
@@ -31,23 +29,8 @@ def solve_answer(s: Solution) -> str:
     ]
     first = f"Look at the recording first: {'; '.join(suspect)}. " if suspect else ""
     take = f"Take {s.taken.candidate.name}: {', '.join(parts)} without GNSS (rms), and {_knows(s.taken)}."
-    return f"{first}{take}{_left_out(s)}"
-
-
-def _left_out(s: Solution) -> str:
-    """How much of the recording is not solved, and why, where it is more than :data:`LEFT_OUT`."""
-    d = s.drive
-    if d.unsolved <= LEFT_OUT:
-        return ""
-    before = d.aligned.t - float(d.imu.t[0])
-    fixes = float(d.gnss.t[0]) >= d.aligned.t - 1.0
-    why = (
-        [f"the first {before:.3g} s, {'in which there is no fix' if fixes else 'in which nothing tells the heading'}"]
-        if before > 1.0
-        else []
-    )
-    gaps = [said for said in d.said if "longest stretch" in said]
-    return f" {100.0 * d.unsolved:.2g} % of the recording are not solved: {'; '.join((*why, *gaps))}."
+    left = "".join(f" {said[0].upper()}{said[1:]}." for said in s.drive.left_out)
+    return f"{first}{take}{left}"
 
 
 def _metres(o: Outages, k: int) -> str:
@@ -143,13 +126,12 @@ def calibration_lines(s: Solution) -> list[str]:
         )
     c = s.taken.candidate
     position, velocity = s.drive.scatter
+    of = f"the {'assumed' if 'positions' in s.drive.assumed else 'stated'} standard deviations of the positions"
     out.append(
-        f"the fixes scatter by {short(position)} times the {'stated' if s.drive.stated else 'assumed'} standard deviations of the positions"
+        f"the fixes scatter by {short(position)} times {of}"
         + (f", {short(velocity)} times those of the velocities" if s.drive.gnss.vel_std_ned is not None else "")
     )
-    out.append(
-        f"believed noise of the fixes: {short(c.position)} times the {'stated' if s.drive.stated else 'assumed'} standard deviations of the positions"
-    )
+    out.append(f"believed noise of the fixes: {short(c.position)} times {of}")
     if s.drive.gnss.vel_std_ned is not None:
         out[-1] += f", {short(c.velocity)} times those of the velocities"
     return out
@@ -341,7 +323,7 @@ def render_solution(s: Solution, folder: Path, compared: Comparison | None = Non
             "What was taken",
             [
                 Items([str(line) for line in s.card.lines if line.level != "ok"]),
-                Folded("Everything", [Items([*s.drive.said, *(str(line) for line in s.card.lines)])]),
+                Folded("Everything", [Items([*s.drive.remarks, *(str(line) for line in s.card.lines)])]),
             ],
         ),
     ]

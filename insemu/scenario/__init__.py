@@ -24,7 +24,7 @@ from insemu.scenario.schema import (
     VehicleKeys,
 )
 from insemu.scenario.shipped import located, shipped_scenarios
-from insemu.scenario.starting import SENSOR, Wish, copy_shipped, first_scenario
+from insemu.scenario.starting import SENSOR, Spoken, Wish, copy_shipped, first_scenario, motion_of
 from insemu.scenario.structure import state_names, structures
 from insemu.scenario.swept import with_changes
 
@@ -46,6 +46,7 @@ __all__ = [
     "Scenario",
     "Section",
     "SensorModels",
+    "Spoken",
     "TrajectorySource",
     "Truth",
     "VehicleKeys",
@@ -56,6 +57,7 @@ __all__ = [
     "first_scenario",
     "load",
     "located",
+    "motion_of",
     "resolve_path",
     "schema",
     "shipped_designs",

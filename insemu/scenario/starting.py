@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from insemu import yamlfile
-from insemu.emulate import bridged_gap, load_flight, read_track
+from insemu.emulate import TRAJECTORIES, bridged_gap, load_flight, read_track
 from insemu.errors import InputError
 from insemu.noise import WN, NoiseModel
 from insemu.noise import load as load_models
@@ -51,15 +52,15 @@ truth:
 # GNSS: what a receiver gives, and the spans without it.
 gnss:
   rate: 1 Hz
-  position_sigma: [1 m, 1 m, 2 m]       # north, east, down, 1 sigma, white; RTK: 2 cm
-  velocity_sigma: [5 cm/s, 5 cm/s, 10 cm/s]
+  position_sigma: [{position}]       # north, east, down, 1 sigma, white; RTK: 2 cm
+  velocity_sigma: [{velocity}]
   lever_arm: [0 m, 0 m, 0 m]            # IMU to antenna: forward, right, down
   outages:                              # the error is read at the end of each
 {outages}
-
+{aids}
 # What the filter knows at the start, 1 sigma.
 initial:
-  position_sigma: [1 m, 1 m, 2 m]
+  position_sigma: [{position}]
   velocity_sigma: 0.1 m/s
   tilt_sigma: 0.5 deg
   heading_sigma: 2 deg
@@ -68,7 +69,7 @@ initial:
 designs:
   complete:                             # the model of the truth
     gyro: {{truth: true}}
-    accel: {{truth: true}}
+    accel: {{truth: true}}{options}
 {second}
 """
 
@@ -87,6 +88,25 @@ _WORST = """\
 
 
 @dataclass(frozen=True)
+class Spoken:
+    """Models of the truth that are written out.
+
+    Parameters
+    ----------
+    name : str
+        Of the sensor.
+    models : mapping of str to NoiseModel
+        Of ``gyro`` and ``accel``.
+    said : sequence of str
+        Lines about them.
+    """
+
+    name: str
+    models: Mapping[str, NoiseModel]
+    said: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
 class Wish:
     """What a first scenario is made from.
 
@@ -97,10 +117,22 @@ class Wish:
     model : str
         File of noise models in place of a card.
     track : str
-        File of a track or of waypoints; empty: a built-in drive.
+        File of a track or of waypoints, or the name of a built-in trajectory; empty: a drive in town.
     vehicle : str
         For a track or waypoints.
     realizations : int
+    outages : sequence of (start, duration)
+        s; empty: two.
+    position, velocity : str
+        Standard deviations of the fixes, north, east and down.
+    aids, options : sequence of str
+        Lines of the sections of these names, of the scenario and of the complete design.
+    longest : float
+        Longest part of a track that is flown, s.
+    spoken : Spoken, optional
+        Models of the truth in place of a card.
+    motion : (str, float), optional
+        What :func:`motion_of` says of it, where that is known.
     """
 
     sensor: str = SENSOR
@@ -108,6 +140,14 @@ class Wish:
     track: str = ""
     vehicle: str = "car"
     realizations: int = 8
+    outages: Sequence[tuple[float, float]] = ()
+    position: str = "1 m, 1 m, 2 m"
+    velocity: str = "5 cm/s, 5 cm/s, 10 cm/s"
+    aids: Sequence[str] = ()
+    options: Sequence[str] = ()
+    longest: float = math.inf
+    spoken: Spoken | None = None
+    motion: tuple[str, float] | None = None
 
 
 def first_scenario(path: str | Path, wish: Wish) -> str:
@@ -126,14 +166,20 @@ def first_scenario(path: str | Path, wish: Wish) -> str:
     """
     path = Path(path)
     validated(TrajectorySource, yamlfile.Document("--vehicle", {"builtin": BUILTIN, "vehicle": wish.vehicle}, {}))
-    motion, duration = _motion(path, wish)
+    motion, duration = wish.motion or motion_of(path.parent, wish)
     common = {
         "name": path.name,
         "stem": path.stem,
         "realizations": wish.realizations,
         "motion": motion,
-        "outages": "\n".join(_outages(duration)),
+        "outages": "\n".join(_outages(duration, wish.outages)),
+        "position": wish.position,
+        "velocity": wish.velocity,
+        "aids": "".join(["\naids:\n", *(f"  {line}\n" for line in wish.aids)]) if wish.aids else "",
+        "options": "".join(["\n    options:", *(f"\n      {line}" for line in wish.options)]) if wish.options else "",
     }
+    if wish.spoken:
+        return _TEMPLATE.format(**common, **_spoken(wish.spoken))
     if wish.model:
         return _TEMPLATE.format(**common, **_of_models(path, wish.model))
     return _TEMPLATE.format(**common, **_of_card(path, wish.sensor))
@@ -150,6 +196,20 @@ def _white(models: Mapping[str, NoiseModel], name: str, factor: float = 1.0) -> 
             raise InputError(f"{name} has no white noise of the {kind}, which the second design would have")
         out[kind] = spelled(NoiseModel((WN(factor * max(levels)),)), unit)
     return out
+
+
+def _spoken(given: Spoken) -> dict[str, str]:
+    """What the template says of models that are written out."""
+    text = {triad: spelled(m, "rad/s" if triad == "gyro" else "m/s^2") for triad, m in given.models.items()}
+    return {
+        "title": f"{given.name} through GNSS outages",
+        "about": f"The figures of {given.name}:",
+        "said": "\n".join(f"#   {line}" for line in given.said),
+        "truth": f"gyro: {text['gyro']}\n  accel: {text['accel']}",
+        "pad": "  ",
+        "hint": "white noise, in-run bias, walk, turn-on bias",
+        "second": _WHITE.format(**_white({f"{t}_x": m for t, m in given.models.items()}, given.name)),
+    }
 
 
 def _of_models(path: Path, file: str) -> dict[str, str]:
@@ -191,40 +251,46 @@ def _of_card(path: Path, name: str) -> dict[str, str]:
     }
 
 
-def _outages(duration: float) -> list[str]:
+def _outages(duration: float, given: Sequence[tuple[float, float]]) -> list[str]:
     length = max(1, round(min(OUTAGE_S, OUTAGE_SHARE * duration)))
-    return [f"    - {{start: {round(share * duration)} s, duration: {length} s}}" for share in (1.0 / 3.0, 2.0 / 3.0)]
+    spans = given or [(round(share * duration), length) for share in (1.0 / 3.0, 2.0 / 3.0)]
+    return [f"    - {{start: {start:.12g} s, duration: {seconds:.12g} s}}" for start, seconds in spans]
 
 
-def _motion(path: Path, wish: Wish) -> tuple[str, float]:
-    """Lines of the trajectory, and how long it lasts in s."""
-    if not wish.track:
+def motion_of(folder: Path, wish: Wish) -> tuple[str, float]:
+    """Lines of the trajectory for a scenario in a folder, and how long it lasts in s."""
+    track, vehicle, longest = wish.track, wish.vehicle, wish.longest
+    if not track or (track in TRAJECTORIES and not Path(track).exists()):
+        minutes = min(540.0, longest) / 60.0
         lines = [
-            f"  builtin: {BUILTIN}       # or a track, waypoints, or a file of motion commands",
-            "  duration: 9 min",
+            f"  builtin: {track or BUILTIN}       # or a track, waypoints, or a file of motion commands",
+            f"  duration: {minutes:g} min",
         ]
-        return "\n".join(lines), 540.0
-    relative = os.path.relpath(wish.track, path.parent)
+        return "\n".join(lines), 60.0 * minutes
+    relative = os.path.relpath(track, folder)
     try:
-        recorded = read_track(wish.track)
+        recorded = read_track(track)
     except InputError:
-        if not _is_waypoints(wish.track):
+        if not _is_waypoints(track):
             raise
-        flight = load_flight(waypoints=wish.track, vehicle=wish.vehicle, speed=SPEED).flight
+        flight = load_flight(waypoints=track, vehicle=vehicle, speed=SPEED).flight
         lines = [
             f"  waypoints: {relative}",
-            f"  vehicle: {wish.vehicle}                  # its limits: speed, acceleration, turns, climbs",
+            f"  vehicle: {vehicle}                  # its limits: speed, acceleration, turns, climbs",
             f"  speed: {SPEED:g} m/s                # of legs whose file gives none",
         ]
-        return "\n".join(lines), float(flight.path.end - flight.path.start)
-    gap = bridged_gap(recorded, wish.vehicle)
-    flight = load_flight(track=wish.track, vehicle=wish.vehicle, max_gap_s=gap).flight
-    lines = [
-        f"  track: {relative}",
-        f"  vehicle: {wish.vehicle}                  # how much it may jerk, and how it holds its attitude",
-        f"  max_gap: {gap} s                # longest gap that is bridged; a longer one in which it hardly moves is a pause and left out",
-    ]
-    return "\n".join(lines), float(flight.path.end - flight.path.start)
+    else:
+        gap = bridged_gap(recorded, vehicle)
+        flight = load_flight(track=track, vehicle=vehicle, max_gap_s=gap).flight
+        lines = [
+            f"  track: {relative}",
+            f"  vehicle: {vehicle}                  # how much it may jerk, and how it holds its attitude",
+            f"  max_gap: {gap} s                # longest gap that is bridged; a longer one in which it hardly moves is a pause and left out",
+        ]
+    duration = float(flight.path.end - flight.path.start)
+    if duration > longest:
+        lines.append(f"  duration: {longest:g} s             # the first part of it")
+    return "\n".join(lines), min(duration, longest)
 
 
 def _is_waypoints(file: str) -> bool:

@@ -65,6 +65,9 @@ KINDS: Mapping[str, Kind] = {
         r"turn[ -]on bias|bias repeatability|(?:on/off|switch[ -]on) bias|bias on/off|initial bias error"
         r"|zero[ -](?:rate|g) (?:offset|output|level)(?! (?:change|variation|drift))", "turn-on bias 0.2 deg/s",
     ),
+    "scale_factor": Kind(
+        "", "scale-factor error that is left after calibration (1 sigma)", r"scale[ -]factor", "scale factor error 300 ppm",
+    ),
     "correlation_time": Kind(
         "s", "correlation time of the in-run bias", r"correlation time|\bT_?c\b", "Tc 500 s",
     ),
@@ -181,7 +184,7 @@ def read_figures(text: str, where: str | None = None) -> Figures:
     text : str
         Clauses separated by commas, semicolons or line ends, each with a name and a quantity in any order:
         ``"ARW 0.34 deg/sqrt(h), in-run bias stability 8 deg/h, VRW 0.037 m/s/sqrt(h)"``. The unit tells gyroscope from accelerometer; a
-        correlation time belongs to the figures before it. Clauses that name no figure are passed over.
+        correlation time and a scale factor belong to the figures before them. Clauses that name no figure are passed over.
     where : str, optional
         File, for messages.
 
@@ -213,7 +216,7 @@ def read_figures(text: str, where: str | None = None) -> Figures:
         if found is None or isinstance(found, str):
             continue
         kind, sensor, figure = found
-        if kind == "correlation_time":
+        if kind in ("correlation_time", "scale_factor"):
             sensor = last or sensor
         out.setdefault(sensor, {}).setdefault(kind, figure)
         last = sensor

@@ -2,10 +2,9 @@
 
 from insemu.solve.against import Comparison, compare_with
 from insemu.solve.beliefs import CALIBRATION, GRADES, Candidate, candidates
-from insemu.solve.drive import Drive, prepared
 from insemu.solve.files import summary, way_of_solution, worst_outages, write
 from insemu.solve.outages import HORIZONS, Gap, Outages, cut_everywhere
-from insemu.solve.solution import KNOWS, Mounting, Scored, Solution, solve
+from insemu.solve.solution import KNOWS, Mounting, Scored, Solution, biases_of, flown, solve
 
 __all__ = [
     "CALIBRATION",
@@ -14,16 +13,16 @@ __all__ = [
     "KNOWS",
     "Candidate",
     "Comparison",
-    "Drive",
     "Gap",
     "Mounting",
     "Outages",
     "Scored",
     "Solution",
+    "biases_of",
     "candidates",
     "compare_with",
     "cut_everywhere",
-    "prepared",
+    "flown",
     "solve",
     "summary",
     "way_of_solution",

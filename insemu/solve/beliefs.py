@@ -13,10 +13,10 @@ from insemu import yamlfile
 from insemu.augment import TURN_ON, Extras, per_axis, with_turn_on
 from insemu.errors import InputError
 from insemu.filters import FilterOptions, InitialSigma, Innovations, LooselyCoupledEKF, likeliest
-from insemu.noise import RW, WN, NoiseModel, load
+from insemu.noise import NoiseModel, load
+from insemu.prepared import Drive
 from insemu.records import AXES, GnssRecord
 from insemu.scenario import Design, shipped_designs, validated
-from insemu.solve.drive import Drive
 
 Array = NDArray[np.float64]
 
@@ -245,8 +245,6 @@ def adapted(
 
 def _scaled(model: NoiseModel, white: float, walk: float) -> NoiseModel:
     """A model of white noise and walk with factors on both; the turn-on bias stays."""
-    parts = []
-    for p in model:
-        v = p.parameters
-        parts.append(WN(N=v["N"] * white) if isinstance(p, WN) else RW(K=v["K"] * walk, sigma0=v.get("sigma0", 0.0)))
+    factors = {"N": white, "K": walk}
+    parts = [p.with_parameters({k: v * factors[k] for k, v in p.parameters.items()}) for p in model]
     return NoiseModel(tuple(parts))

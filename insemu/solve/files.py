@@ -10,8 +10,8 @@ import numpy as np
 
 from insemu import formats, noise, rotation
 from insemu.errors import InputError
+from insemu.evaluate import write_netcdf
 from insemu.formats import Way, utc_of, write_table, write_way
-from insemu.records import Preparation, Recording
 from insemu.shown import finite
 from insemu.solve.against import Comparison
 from insemu.solve.outages import Outages
@@ -37,7 +37,7 @@ def summary(solution: Solution, compared: Comparison | None = None) -> dict[str,
     document = {
         "source": d.source,
         "intake": solution.card.to_json(),
-        "said": list(d.said),
+        "said": list(d.remarks),
         "reference": "the fixes after each outage, at the antenna; their own scatter is taken off the metres",
         "start_s": d.aligned.t,
         "end_s": float(d.imu.t[-1]),
@@ -180,17 +180,15 @@ def write(solution: Solution, folder: Path) -> list[Path]:
     d = solution.drive
     out: list[Path] = []
     with replacing(folder / SOLUTION) as partial:
-        dataset(solution).to_netcdf(partial, engine="h5netcdf")
+        write_netcdf(partial, {"": dataset(solution)})
     out.append(folder / SOLUTION)
     way = way_of_solution(folder)
     dated = (".kml", ".gpx", ".pos") if utc_of(way.origin) is not None else ()
     out += [write_way(way, folder / f"trajectory{end}") for end in (".csv", ".tum", *dated)]
     # on the clock of the fixes, so that the solution, the fixes and the IMU agree
-    done = Preparation(d.clock, d.measured, d.said)
     track = solution.track or solution.smoothed
     way_solved = trajectory_of(track.t, track.nav, "solution")
-    solved = Recording(d.imu, d.gnss, way_solved, d.source, d.aids, origin=d.origin, preparation=done)
-    out.append(formats.write(folder / "solved.npz", solved))
+    out.append(formats.write(folder / "solved.npz", d.recording(way_solved)))
     noise.save(dict(solution.taken.candidate.belief), folder / "models.yaml")
     o = solution.taken.outages
     header = ["start [s]"] + [

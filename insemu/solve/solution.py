@@ -15,6 +15,7 @@ from insemu.evaluate import Verdict, lag_products, nis_test, whiteness_verdicts
 from insemu.filters import FilterResult, LooselyCoupledEKF, SmootherResult, sigma_at, smooth, smoothed_at
 from insemu.intake import Card
 from insemu.noise import WN
+from insemu.prepared import Drive, Stated, prepared
 from insemu.records import AXES, Recording
 from insemu.shown import Shown, few
 from insemu.solve.beliefs import (
@@ -25,7 +26,6 @@ from insemu.solve.beliefs import (
     clock_offset,
     likelihood_of,
 )
-from insemu.solve.drive import Drive, prepared
 from insemu.solve.outages import HORIZONS, SETTLED_S, Gap, Outages, cut_everywhere, gaps_of, settled_at
 from insemu.solve.outliers_of_fixes import outlying
 
@@ -248,16 +248,8 @@ class Solution(Shown):
 
     @property
     def biases(self) -> dict[str, tuple[float, float, float]]:
-        """Of every axis the bias at the end, its standard deviation, and the part that was taken off before the filter began, rad/s or m/s^2."""
-        aug = self.taken.candidate.filter(self.drive).augmentation
-        before = dict(zip(AXES, self.drive.aligned.bias_beyond(aug.turn_on_sigma()), strict=True))
-        x, P = self.smoothed.imu_states[-1], self.smoothed.covariance[-1, 9:, 9:]
-        out: dict[str, tuple[float, float, float]] = {}
-        for k, a in enumerate(AXES):
-            c = np.where((aug.axis == k) & (aug.driver < 0), aug.c, 0.0)
-            off = float(before[a])
-            out[a] = (off + float(c @ x), float(np.sqrt(max(float(c @ P @ c), 0.0))), off)
-        return out
+        """See :func:`biases_of`."""
+        return biases_of(self.drive, self.taken.candidate, self.smoothed)
 
     @property
     def estimated(self) -> list[tuple[str, float, float, float]]:
@@ -303,7 +295,7 @@ def solve(
     InputError
         No fixes, no way to start, too little data after it, or no design with which the filter runs.
     """
-    drive = prepared(recording, (0.0, 0.0, 0.0) if lever_arm is None else lever_arm)
+    drive = prepared(recording.as_measured(), Stated() if lever_arm is None else Stated(lever_arm))
     say("start")
     drive = drive.started(card)
     begins, ends, needed = drive.aligned.t, float(drive.imu.t[-1]), SETTLED_S + HORIZONS[0]
@@ -432,7 +424,7 @@ def scored(candidate: Candidate, drive: Drive, every: float, workers: int) -> Sc
     return Scored(
         candidate,
         run,
-        cut_everywhere(ekf, run, imu, drive.reference(), settled=drive.settled, every=every, workers=workers),
+        cut_everywhere(ekf, run, imu, drive.scattered(), settled=drive.settled, every=every, workers=workers),
     )
 
 
@@ -449,6 +441,27 @@ def flown(ekf: LooselyCoupledEKF, drive: Drive, candidate: Candidate) -> FilterR
     """
     imu, gnss = drive.flown(ekf)
     return ekf.run(imu, candidate.fixes(gnss), drive.aligned.state, candidate.start_sigma(drive), aids=drive.aids)
+
+
+def biases_of(drive: Drive, candidate: Candidate, smoothed: SmootherResult) -> dict[str, tuple[float, float, float]]:
+    """Of every axis the bias at the end, its standard deviation, and the part that was taken off before the filter began, rad/s or m/s^2.
+
+    Parameters
+    ----------
+    drive : Drive
+        With a start.
+    candidate : Candidate
+        Whose filter was smoothed.
+    smoothed : SmootherResult
+    """
+    aug = candidate.filter(drive).augmentation
+    before = drive.aligned.bias_beyond(aug.turn_on_sigma())
+    x, P = smoothed.imu_states[-1], smoothed.covariance[-1, 9:, 9:]
+    out: dict[str, tuple[float, float, float]] = {}
+    for k, a in enumerate(AXES):
+        c, off = np.where((aug.axis == k) & (aug.driver < 0), aug.c, 0.0), float(before[k])
+        out[a] = (off + float(c @ x), float(np.sqrt(max(float(c @ P @ c), 0.0))), off)
+    return out
 
 
 def verdicts_of(run: FilterResult) -> tuple[Verdict, ...]:

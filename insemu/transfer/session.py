@@ -10,7 +10,6 @@ import numpy as np
 
 from insemu.augment import Extras
 from insemu.blas import on_one_thread
-from insemu.errors import InputError
 from insemu.gap import Finding, Nominal, find_gap, refined_nominal, with_only
 from insemu.gap.beliefs import filter_noise
 from insemu.gap.drive import for_filter, starting_state, with_sigma
@@ -104,10 +103,8 @@ def levels_of(
     InputError
         No fixes, no standard deviations for them, or no way to start.
     """
-    if measured.gnss is None:
-        raise InputError("has no GNSS fixes, expected a drive or flight with fixes", where=measured.source)
-    measured = measured.as_measured()
-    nominal, _ = nominal.parted().on(measured)
+    nominal, drive = nominal.parted().on(measured)
+    measured = drive.measured
     recording, moved = drive_without(measured, nominal, filled=True)
     imu, gnss, state, sigma = starting_state(recording, moved)
     gnss = with_sigma(gnss, moved)
@@ -163,7 +160,7 @@ def transfer(
     reasons, rest = _reasons(measured, nominal, static, extras, found, interval, rng, say) if why else ((), {})
     factors = np.exp(found.log).tolist()
     constants = levels.constants(factors)
-    assumed = nominal.parted().on(measured.as_measured())[1]
+    assumed = nominal.parted().on(measured)[1].said
     return Transfer(found.factors, interval, judged, reasons, rest, levels.scaled(factors), constants, assumed)
 
 

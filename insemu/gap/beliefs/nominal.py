@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from insemu import yamlfile
 from insemu.effects import EffectUse
 from insemu.errors import InputError
-from insemu.filters import with_standard_deviations
 from insemu.noise import DR, SIN, NoiseModel, load
+from insemu.prepared import Drive, Stated, prepared
 from insemu.records import Recording
+from insemu.rotation import dcm_from_rpy
 from insemu.scenario import EffectList, Gnss, Initial, NonHolonomic, Scenario, Section, SensorModels, validated
 from insemu.scenario import load as load_scenario
 
@@ -74,27 +75,34 @@ class Nominal:
             beliefs[name] = NoiseModel(rest) if known and rest else model
         return replace(self, beliefs=beliefs, effects=tuple(effects))
 
-    def on(self, recording: Recording) -> tuple[Nominal, tuple[str, ...]]:
-        """The model with the standard deviations that neither it nor the recording states, from the scatter of the fixes.
-
-        Returns
-        -------
-        Nominal, tuple of str
-            What is believed, and what was assumed, in words.
-        """
-        g, gnss = self.gnss, recording.gnss
-        if gnss is None:
-            return self, ()
-        stated, given = g.model_fields_set, {}
-        fixes, assumed = with_standard_deviations(
-            gnss.without_velocity() if g.velocity_sigma is None else gnss,
-            g.position_sigma if "position_sigma" in stated else None,
-            g.velocity_sigma if "velocity_sigma" in stated else None,
+    def stated(self) -> Stated:
+        """What the model states of a drive in the axes of the IMU; what is wrong with its samples and velocities is for the search to find."""
+        g, C = self.gnss, dcm_from_rpy(np.array(self.mounting))
+        sigmas = {k: getattr(g, k) for k in ("position_sigma", "velocity_sigma") if k in g.model_fields_set}
+        believed = g.velocity_sigma is not None
+        return Stated(
+            C @ np.array(g.lever_arm), self.mounting, with_velocity=believed, mended=False, shortest=0.0, **sigmas
         )
-        for what, sigma in (("positions", fixes.pos_std_ned), ("velocities", fixes.vel_std_ned)):
-            if what in assumed and sigma is not None:
-                given["position_sigma" if what == "positions" else "velocity_sigma"] = tuple(sigma[0].tolist())
-        return replace(self, gnss=g.model_copy(update=given)), tuple(assumed.values())
+
+    def on(self, recording: Recording) -> tuple[Nominal, Drive]:
+        """The model with the standard deviations that neither it nor a recording states, and the drive that the recording makes.
+
+        Parameters
+        ----------
+        recording : Recording
+            With fixes; looked at as it was measured.
+
+        Raises
+        ------
+        InputError
+            See :func:`insemu.prepared.prepared`.
+        """
+        drive = prepared(recording.as_measured(), self.stated())
+        fixes, found = drive.gnss, {}
+        for what, sigma in (("position", fixes.pos_std_ned), ("velocity", fixes.vel_std_ned)):
+            if {"position": "positions", "velocity": "velocities"}[what] in drive.assumed and sigma is not None:
+                found[f"{what}_sigma"] = tuple(sigma[0].tolist())
+        return replace(self, gnss=self.gnss.model_copy(update=found)), drive
 
     @property
     def settled_levels(self) -> NDArray[np.float64]:

@@ -363,7 +363,7 @@ def _stated(nominal: Nominal, measured: StaticLog | Recording | None) -> NDArray
     """Standard deviations (3,) of the positions as the recording states them, in the middle, or as they are believed, m."""
     gnss = measured.gnss if isinstance(measured, Recording) else None
     if isinstance(measured, Recording):
-        nominal, _ = nominal.on(measured.as_measured())
+        nominal, _ = nominal.on(measured)
     stated = None if gnss is None else gnss.pos_std_ned
     return np.array(nominal.gnss.position_sigma) if stated is None else np.nanmedian(stated, axis=0)
 

@@ -17,7 +17,6 @@ from insemu.filters import (
     InitialSigma,
     on_reference,
     run_filter,
-    start,
 )
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.data.log import Reduced, moving_spectra
@@ -29,6 +28,7 @@ from insemu.gap.evidence.model import Explanation, Likelihood, fit
 from insemu.gap.evidence.surrogate import PLAIN, FixNoise, Surrogate
 from insemu.gap.policy import rules
 from insemu.noise import BI, WN, NoiseModel, Process
+from insemu.prepared import Drive
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.rotation import dcm_from_rpy, rpy_from_dcm
 from insemu.strapdown import NavState
@@ -407,7 +407,7 @@ def fitted_levels(prepared: Prepared, white: Array, s: Surrogate, *, back: bool 
 
 
 def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, GnssRecord, NavState, InitialSigma]:
-    """Where the filter starts: on the reference where there is one, else as every filter on recorded data does (:func:`insemu.filters.start`).
+    """Where the filter starts: on the reference where there is one, else as every filter on recorded data does (:mod:`insemu.prepared`).
 
     A start on a reference is as uncertain as the nominal model says, any other at least so.
 
@@ -422,18 +422,10 @@ def starting_state(recording: Recording, nominal: Nominal) -> tuple[ImuRecord, G
         imu, state = on_reference(imu, recording.reference)
         _check_upright(imu, recording.reference, recording.source)
         return imu, gnss, state, own
-    # velocities that are not believed still tell the way
-    fixed = replace(with_sigma(gnss, nominal), vel_ned=gnss.vel_ned)
-    C = dcm_from_rpy(np.array(nominal.mounting))
-    turned = replace(imu, gyro=imu.gyro @ C.T, accel=imu.accel @ C.T)
-    known = recording.initial
-    if known is not None:
-        known = replace(known, rpy=rpy_from_dcm(dcm_from_rpy(known.rpy) @ C.T))
-    try:
-        found = start(turned, fixed, known=known, lever_arm=C @ np.array(nominal.gnss.lever_arm))
-    except InputError as error:
-        raise InputError(error.message, where=recording.source) from None
-    state = replace(found.state, rpy=rpy_from_dcm(dcm_from_rpy(found.state.rpy) @ C))
+    found = Drive.of(recording, nominal.stated()).started().aligned
+    state = replace(
+        found.state, rpy=rpy_from_dcm(dcm_from_rpy(found.state.rpy) @ dcm_from_rpy(np.array(nominal.mounting)))
+    )
     sigma = found.sigma.to_array()
     sigma[:6], sigma[6:] = np.hypot(sigma[:6], own.to_array()[:6]), np.maximum(sigma[6:], own.to_array()[6:])
     return imu.rows(slice(found.row, None)), gnss, state, InitialSigma(sigma[:3], sigma[3:6], sigma[6:])
