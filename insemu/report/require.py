@@ -128,11 +128,11 @@ def render_require(found: Answer, path: str | Path, *, source: str = "") -> Path
     """
     chart = Chart(
         "Frontier", "Below the line the requirements are kept, with the other figures as in the table; cards as points.", None,
-        "first figure", [_plane(found, pair) for pair in found.planes], log_x=True,
+        "the figure named first", [_plane(found, pair) for pair in found.planes], log_x=True,
     )  # fmt: skip
     sections = [
         page.Section("Cards", [page.Table(*require_rows(found)), page.Items(require_notes(found))]),
-        page.Section("What would just do", [page.Table(*frontier_rows(found)), chart]),
+        page.Section("Figures that just meet it", [page.Table(*frontier_rows(found)), chart]),
         page.Section("Aids", [page.Table(*aid_rows(found))]),
         page.Section("Track", [page.Table(*place_rows(found), caption=f"Errors of {found.chosen.sensor.name}.")]),
         page.Section("The scenario that flies it", [page.Code(found.scenario)]),
