@@ -418,13 +418,15 @@ def find_gap(
     if isinstance(model, str | Path):
         believed = gap.load_nominal(model)
     elif isinstance(model, Mapping):
-        believed = gap.Nominal(
-            {axis: m if isinstance(m, NoiseModel) else m.model for axis, m in model.items()},
-            kind="noise",
-            source="model",
-        )
+        beliefs: dict[str, Any] = {axis: getattr(m, "model", m) for axis, m in model.items()}
+        believed = gap.Nominal(beliefs, kind="noise", source="model")
     else:
         believed = model
+    if not isinstance(believed, gap.Nominal):
+        raise InputError(f"the model is a {type(believed).__name__}, expected a path, a mapping of axes or a Nominal")
+    for axis, m in believed.beliefs.items():
+        if not isinstance(m, NoiseModel):
+            raise InputError(f"the model of {axis} is a {type(m).__name__}, expected a NoiseModel or a FitResult")
     data: StaticLog | Recording
     if isinstance(recording, Recording):
         data = intake.found_in(recording, intake.examine(recording).check())

@@ -136,11 +136,11 @@ def test_every_aid_is_the_same_in_the_reference_filter():
 
 
 @pytest.mark.parametrize("name", EMULATED)
-@statistical(2e-5, 3, power=chi_square_power(360, 2e-5, 3, 2.0))  # half the errors that happen believed
+@statistical(5e-6, 3, power=chi_square_power(360, 5e-6, 3, 2.0))  # half the errors that happen believed
 def test_a_filter_with_an_aid_knows_its_error_and_errs_less(name):
     """Mean NEES at the end of an outage inside the chi-square bounds; an aid trusted three times too much: outside."""
     road, runs, at = cases.drive(40.0), 40, (15.0, 21.9, 40.0)
-    bounds = 9 * np.array(chi_square(9 * runs, 2e-5, len(at)))
+    bounds = 9 * np.array(chi_square(9 * runs, 5e-6, len(at)))
     ekf = LooselyCoupledEKF(MODEL_15, DT, options=FilterOptions(covariance_at=at, output_every=10))
     rows = np.round(np.array(at) / DT).astype(int)
 

@@ -121,6 +121,10 @@ def test_the_model_stands_before_the_recording() -> None:
     imu = ins.ImuRecord(np.arange(9) / 9.0, np.zeros((9, 3)), np.zeros((9, 3)))
     with pytest.raises(InputError, match="expected the model first"):
         ins.find_gap(ins.Recording(imu), "model.yaml")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="of gyro_x is a WN, expected a NoiseModel"):
+        ins.find_gap({"gyro_x": ins.noise.WN(1e-4)}, ins.Recording(imu))
+    with pytest.raises(InputError, match="is a WN, expected a path"):
+        ins.find_gap(ins.noise.WN(1e-4), ins.Recording(imu))
     with pytest.raises(InputError, match="expected -pi/2 to pi/2 rad"):
         ins.GnssRecord(np.arange(2.0), np.array([[46.0, 7.0, 400.0], [46.1, 7.1, 400.0]]))
 

@@ -56,12 +56,12 @@ def pooled(e, P):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@statistical(1e-5, 3, power=chi_square_power(9 * 40, 1e-5, 3, 2.0))
+@statistical(2e-6, 3, power=chi_square_power(9 * 40, 2e-6, 3, 2.0))
 def test_a_family_knows_its_error(name):
     """Mean NEES at the start, at the end of an outage and after it inside chi-square bounds; half the noise believed: outside."""
     at, runs = (10, 30, 40), 40
     e, P, _ = matched(name, runs, 40.0, at)
-    low, high = chi_square(9 * runs, 1e-5, len(at))
+    low, high = chi_square(9 * runs, 2e-6, len(at))
     assert ((low < pooled(e, P)) & (pooled(e, P) < high)).all(), (low, high, pooled(e, P))
     e, P, _ = matched(name, runs, 40.0, at, halved(MODEL_15))
     assert pooled(e, P)[1] > high
@@ -69,7 +69,7 @@ def test_a_family_knows_its_error(name):
 
 @pytest.mark.slow(reason="hours of flight or many realizations")
 @pytest.mark.parametrize("name", NAMES)
-@statistical(1e-5, 14, power=chi_square_power(9 * 200, 1e-5, 14, 2.0))
+@statistical(2e-6, 14, power=chi_square_power(9 * 200, 2e-6, 14, 2.0))
 def test_two_hundred_matched_flights_of_a_family(name):
     """NEES at twelve epochs, NIS and the share of errors within three sigma over 200 flights; half the noise believed fails."""
     at, runs = tuple(range(20, 260, 20)), 200
@@ -77,17 +77,17 @@ def test_two_hundred_matched_flights_of_a_family(name):
     length = 4.0 if name.startswith("iekf") else 40.0
     outages = ((100.0 - length, 100.0), (200.0 - length, 200.0))
     e, P, fixes = matched(name, runs, 240.0, at, outages=outages)
-    low, high = chi_square(9 * runs, 1e-5, 14)
+    low, high = chi_square(9 * runs, 2e-6, 14)
     nees, sigma = pooled(e, P), np.sqrt(np.einsum("rkii->rki", P))
-    share, few, many = pooled_coverage(e, sigma, confidence=1 - 1e-5 / 14, rng=np.random.default_rng(0))
-    nis = nis_test(fixes, confidence=1 - 1e-5 / 14)
+    share, few, many = pooled_coverage(e, sigma, confidence=1 - 2e-6 / 14, rng=np.random.default_rng(0))
+    nis = nis_test(fixes, confidence=1 - 2e-6 / 14)
     print(
         f"{name}: NEES/9 {nees.min():.3f} to {nees.max():.3f} in {low:.3f} to {high:.3f}; {nis}; within 3 sigma {share:.5f} ({few:.5f}, {many:.5f})"
     )
     assert ((low < nees) & (nees < high)).all()
     assert nis.passed and few <= 0.9973 <= many
     wrong, P_wrong, _ = matched(name, 50, 240.0, at, halved(MODEL_15), outages)
-    assert pooled(wrong, P_wrong)[[4, 9]].min() > chi_square(9 * 50, 1e-5, 14)[1]
+    assert pooled(wrong, P_wrong)[[4, 9]].min() > chi_square(9 * 50, 2e-6, 14)[1]
 
 
 def test_families_agree_where_errors_are_small():

@@ -405,7 +405,7 @@ def test_weights_by_bootstrap_are_those_of_the_closed_form():
         (lambda x: fit(x, "WN() + QN()", "em", rate_hz=1.0), "QN"),
         (lambda x: fit(x, "WN() + BI()", "mli", rate_hz=1.0), "BI"),
         (lambda x: fit(x, "WN()", "mli", rate_hz=1.0, pattern="odd"), "pattern"),
-        (lambda x: fit(x, "2*GM()", "slopes", rate_hz=1.0), "tell"),
+        (lambda x: fit(x, "2*GM()", "slopes", rate_hz=1.0), "separate"),
         (lambda x: fit(x, "AR(2)", "slopes", rate_hz=1.0), "cannot be read off"),
         (lambda x: fit(x, "WN()", "burg", rate_hz=1.0), "AR"),
         (lambda x: fit(x, "WN()", "em", rate_hz=1.0, robust=True), "robust"),

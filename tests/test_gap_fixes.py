@@ -79,16 +79,17 @@ def test_what_nobody_states_of_the_fixes_is_estimated_and_told() -> None:
     more, rng = np.array([0.4, 0.4, 0.6]), np.random.default_rng(3)
     noisy = earth.move(fixes.llh, more * rng.standard_normal((len(fixes), 3)))
     bare = replace(made, gnss=replace(fixes, llh=noisy, pos_std_ned=None, vel_std_ned=None))
-    believed, assumed = Nominal(dict(BELIEF), Gnss(lever_arm=LEVER)).on(bare)
+    believed, drive = Nominal(dict(BELIEF), Gnss(lever_arm=LEVER)).on(bare)
+    assumed = tuple(drive.assumed.values())
     rms = [np.sqrt(np.mean(v**2, axis=0)) for v in (fixes.pos_std_ned, fixes.vel_std_ned)]
     assert believed.gnss.position_sigma == pytest.approx(np.hypot(rms[0], more), rel=0.25)
     assert believed.gnss.velocity_sigma == pytest.approx(
         np.maximum(rms[1], 0.05), rel=0.4
     )  # the vehicle's jerk is in it
     assert len(assumed) == 2 and all("assumed from their scatter" in line for line in assumed)
-    given, said = Nominal(dict(BELIEF), Gnss(position_sigma=SIGMA, velocity_sigma=None)).on(bare)
-    assert given.gnss.position_sigma == SIGMA and given.gnss.velocity_sigma is None and said == ()
-    assert Nominal(dict(BELIEF)).on(made)[1] == ()
+    given, drive = Nominal(dict(BELIEF), Gnss(position_sigma=SIGMA, velocity_sigma=None)).on(bare)
+    assert given.gnss.position_sigma == SIGMA and given.gnss.velocity_sigma is None and not drive.assumed
+    assert not Nominal(dict(BELIEF)).on(made)[1].assumed
     report = find_gap(
         bare, Nominal(dict(BELIEF), Gnss(lever_arm=LEVER)), rng=np.random.default_rng(1), hold_out=False, pictures=False
     )
