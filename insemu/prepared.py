@@ -40,7 +40,7 @@ FEWEST = 10
 
 @dataclass(frozen=True)
 class Stated:
-    """What is stated of a drive beside its recording, and what is asked of it.
+    """What is stated of a drive in addition to its recording, and what is asked of it.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class Stated:
         See :func:`insemu.filters.start`.
     gravity : str
         See :mod:`insemu.earth`.
-    mended : bool
+    corrected : bool
         Whether lost samples of the IMU are filled in and velocities that lag are left out; else both stay for those who look for them or weigh them.
     shortest : float
         Shortest stretch of IMU data that is of use, s.
@@ -78,7 +78,7 @@ class Stated:
     with_velocity: bool = True
     how: How = "auto"
     gravity: str = "normal"
-    mended: bool = True
+    corrected: bool = True
     shortest: float = 60.0
     where: str = ""
 
@@ -94,14 +94,14 @@ class Drive:
     gnss : GnssRecord
         Fixes with standard deviations.
     measured : Recording
-        As it was given, less what lies beside the stretch that is flown.
+        As it was given, less what lies outside the stretch that is flown.
     stated : Stated
     said : tuple of str
         What was assumed and done.
     assumed : mapping of str to str
         What of it are standard deviations of ``positions`` and ``velocities``, in words.
     clock : float
-        Seconds that were taken off the stamps of the IMU.
+        Seconds that were subtracted from the stamps of the IMU.
     scatter : (float, float)
         Scatter of positions and velocities over their standard deviations, as the innovations show it; outages are held against fixes of it.
     settled : float, optional
@@ -163,7 +163,7 @@ class Drive:
 
     @property
     def unsolved(self) -> float:
-        """Share of the recording before the start and beside the stretch that is flown."""
+        """Share of the recording before the start and outside the stretch that is flown."""
         return max(0.0, 1.0 - (float(self.imu.t[-1]) - self.aligned.t) / self.recorded) if self.recorded else 0.0
 
     @property
@@ -214,7 +214,7 @@ class Drive:
         gyro, accel = (
             ", ".join(f"{v:.4g}" for v in x) for x in (np.degrees(bias[:3]) * 3600.0, 1e3 * bias[3:] / STANDARD_GRAVITY)
         )
-        taken = f"started at {a.t:.6g} s; taken off there: {gyro} deg/h of the gyroscopes x, y, z, {accel} mg of the accelerometers"
+        taken = f"started at {a.t:.6g} s; subtracted there: {gyro} deg/h of the gyroscopes x, y, z, {accel} mg of the accelerometers"
         return recording, a.state, (*self.remarks, taken)
 
     def shifted(self, late: float) -> Drive:
@@ -261,7 +261,7 @@ def prepared(recording: Recording, stated: Stated = Stated()) -> Drive:
     imu, lost = restored(recording.imu)
     done = (
         "are filled in by the samples around them"
-        if stated.mended
+        if stated.corrected
         else "stay so (a design that compensates dropped_samples flies them filled in)"
     )
     said += [
@@ -269,7 +269,7 @@ def prepared(recording: Recording, stated: Stated = Stated()) -> Drive:
         for each in lost
     ]
     late, measured = stated.imu_late, recording
-    recording = (replace(recording, imu=imu) if stated.mended else recording).imu_later(-late)
+    recording = (replace(recording, imu=imu) if stated.corrected else recording).imu_later(-late)
     imu = _asked(recording.imu, stated, where)
     recorded = float(imu.t[-1] - imu.t[0])
     imu = _without_gaps(imu, stated.shortest, said, where)
@@ -282,9 +282,9 @@ def prepared(recording: Recording, stated: Stated = Stated()) -> Drive:
     if lag is not None:
         said.append(
             f"the velocities of the fixes are {abs(lag):.3g} s {'late' if lag > 0 else 'early'} against their positions (means over the time "
-            f"before their stamps are): they {'are left out' if stated.mended else 'stay'}"
+            f"before their stamps are): they {'are left out' if stated.corrected else 'stay'}"
         )
-        gnss = gnss.without_velocity() if stated.mended else gnss
+        gnss = gnss.without_velocity() if stated.corrected else gnss
     drive = Drive.of(replace(recording, imu=imu, gnss=gnss), stated)
     flown = (measured.imu.t >= imu.t[0] + late) & (measured.imu.t <= imu.t[-1] + late)
     measured = replace(measured, imu=measured.imu if flown.all() else measured.imu.rows(flown))

@@ -50,7 +50,7 @@ def test_mounting_and_clock_are_put_on_the_imu_and_on_the_state_that_a_file_carr
     state = InitialState(20.0, np.array([0.8, 0.1, 300.0]), np.zeros(3), np.zeros(3), np.ones(9))
     imu = recording.imu
     turned = replace(recording, imu=replace(imu, gyro=imu.gyro @ C, accel=imu.accel @ C), initial=state).imu_later(0.2)
-    drive = prepared(turned, Stated(mounting=MOUNT, imu_late=0.2, begin=10.0, end=100.0, mended=False))
+    drive = prepared(turned, Stated(mounting=MOUNT, imu_late=0.2, begin=10.0, end=100.0, corrected=False))
     inside = (imu.t >= 10.0 - 1e-9) & (imu.t <= 100.0 + 1e-9)
     np.testing.assert_allclose(drive.imu.t, imu.t[inside], atol=1e-9)
     np.testing.assert_allclose(drive.imu.gyro, imu.gyro[inside], atol=1e-12)
@@ -81,7 +81,7 @@ def test_lost_samples_stay_for_those_who_look_for_them(recording: Recording) -> 
     gone = np.zeros(len(imu), dtype=bool)
     gone[100:-50:50] = True
     lossy = replace(recording, imu=imu.rows(~gone))
-    filled, bare = prepared(lossy), prepared(lossy, Stated(mended=False))
+    filled, bare = prepared(lossy), prepared(lossy, Stated(corrected=False))
     assert len(filled.imu) == len(imu) and len(bare.imu) == len(imu) - gone.sum()
     assert "filled in" in filled.said[0] and "they stay so" in bare.said[0]
     assert filled.said[1:] == bare.said[1:]

@@ -70,5 +70,5 @@ def command(
         console, f"Along the track, {found.chosen.sensor.name}", *place_rows(found), left=0, gap=lambda row: False
     )
     console.print(
-        f"\nPage: {page} (require.json beside it). Now: insemu run {scenario}", soft_wrap=True, highlight=False
+        f"\nPage: {page} (require.json next to it). Now: insemu run {scenario}", soft_wrap=True, highlight=False
     )

@@ -63,13 +63,13 @@ class RecordedWorld:
         self.vehicle_imu, self.gnss, self.reference = self.drive.imu, self.drive.gnss, self.measured.reference
         self.warnings = tuple(f"{self.source.file}: {said}" for said in self.drive.said)
 
-    def _prepared(self, *, mended: bool = False) -> Drive:
+    def _prepared(self, *, corrected: bool = False) -> Drive:
         """The recording as the scenario states it."""
         s, g = self.source, self.scenario.gnss
         sigmas = {k: getattr(g, k) for k in ("position_sigma", "velocity_sigma") if k in g.model_fields_set}
         stated = Stated(g.lever_arm, s.mounting, s.imu_time_offset, s.start, s.end, **sigmas)
         where, believed = f"{self.file or 'scenario'}: recording", g.velocity_sigma is not None
-        asked = replace(stated, with_velocity=believed, how=s.alignment, gravity=s.gravity, mended=mended)
+        asked = replace(stated, with_velocity=believed, how=s.alignment, gravity=s.gravity, corrected=corrected)
         return prepared(self.measured, replace(asked, shortest=0.0, where=where))
 
     @cached_property
@@ -145,7 +145,7 @@ class RecordedWorld:
 
     def restored(self, recording: Recording) -> Recording:
         """The recording with what its raw file shows to be lost filled in."""
-        whole = self._prepared(mended=True).imu
+        whole = self._prepared(corrected=True).imu
         first = int(np.searchsorted(whole.t, self.vehicle_imu.t[self.alignment.row]))
         return replace(recording, imu=cut(whole, replace(self.alignment, row=first)))
 

@@ -208,7 +208,7 @@ class Answer:
             longer = min(self.requirements, key=lambda r: r.seconds)
             return (
                 f"Every card meets {asked_for}, {least.sensor.name} with the least margin ({least.margin:.3g}): a limit {least.margin:.3g} times "
-                f"smaller or an outage longer than {longer.seconds:g} s would tell them apart."
+                f"smaller or an outage longer than {longer.seconds:g} s would distinguish them."
             )
         return f"{len(meeting)} of {len(self.verdicts)} cards meet {asked_for}; the least of them is {least.sensor.name} (margin {least.margin:.3g})."
 

@@ -81,7 +81,7 @@ class Nominal:
         sigmas = {k: getattr(g, k) for k in ("position_sigma", "velocity_sigma") if k in g.model_fields_set}
         believed = g.velocity_sigma is not None
         return Stated(
-            C @ np.array(g.lever_arm), self.mounting, with_velocity=believed, mended=False, shortest=0.0, **sigmas
+            C @ np.array(g.lever_arm), self.mounting, with_velocity=believed, corrected=False, shortest=0.0, **sigmas
         )
 
     def on(self, recording: Recording) -> tuple[Nominal, Drive]:
