@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import grimp
@@ -21,6 +22,7 @@ def floors() -> list[list[str]]:
     return [[name.strip() for name in layer.split("|")] for layer in layers]
 
 
+@cache
 def arrows() -> set[tuple[str, str]]:
     """Which room imports which, without arrows that follow from others."""
     graph = grimp.build_graph("insemu", cache_dir=None, exclude_type_checking_imports=True)
@@ -31,6 +33,7 @@ def arrows() -> set[tuple[str, str]]:
             if own and other.split(".")[1:2] not in (own, []):
                 uses.setdefault(own[0], set()).add(other.split(".")[1])
 
+    @cache
     def below(room: str) -> set[str]:
         direct = uses.get(room, set())
         return direct.union(*(below(r) for r in direct)) if direct else set()
@@ -38,6 +41,7 @@ def arrows() -> set[tuple[str, str]]:
     return {(a, b) for a, direct in uses.items() for b in direct if not any(b in below(c) for c in direct)}
 
 
+@cache
 def drawing() -> str:
     """The rooms as SVG."""
     rows = floors()
