@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -51,7 +51,7 @@ SAME_RATE = 0.01
 
 
 @dataclass(frozen=True)
-class _Flight:
+class Flight:
     """One record as the compiled loop takes it; shapes as in :func:`insemu.filters.kernel.run`."""
 
     t: Array
@@ -94,6 +94,9 @@ class LooselyCoupledEKF:
         See :func:`~insemu.augment.augment`.
     """
 
+    #: Keyword arguments that a derived class was made with, beyond those below.
+    settings: Mapping[str, Any] = {}
+
     def __init__(
         self,
         belief: Belief,
@@ -130,20 +133,22 @@ class LooselyCoupledEKF:
 
     def with_options(self, **changes: Any) -> LooselyCoupledEKF:
         """The same design with some options (fields of :class:`FilterOptions`) replaced."""
-        return self._again(self.dt, replace(self.options, **changes))
+        return self.again(self.dt, replace(self.options, **changes))
 
     def at_rate_of(self, imu: ImuRecord) -> LooselyCoupledEKF:
         """The same design discretised at the sampling interval of a record; itself where that is within :data:`SAME_RATE` of its own."""
-        return self if abs(imu.dt / self.dt - 1.0) <= SAME_RATE else self._again(imu.dt, self.options)
+        return self if abs(imu.dt / self.dt - 1.0) <= SAME_RATE else self.again(imu.dt, self.options)
 
-    def _again(self, dt: float, options: FilterOptions) -> LooselyCoupledEKF:
-        return LooselyCoupledEKF(
+    def again(self, dt: float, options: FilterOptions, kind: type[LooselyCoupledEKF] | None = None) -> LooselyCoupledEKF:
+        """The same design with another sampling interval, other options, or flown by another kind of filter, without settings of its own."""
+        return (kind or type(self))(
             self._belief,
             dt,
             lever_arm=self.lever_arm,
             gravity=self.gravity,
             gnss_sigma=self.gnss_sigma,
             options=options,
+            **({} if kind else self.settings),
         )
 
     @property
@@ -256,7 +261,7 @@ class LooselyCoupledEKF:
             What went wrong with one is returned in its place; the others are not touched by it.
         """
         out: dict[int, FilterResult | InputError] = {}
-        alike: dict[tuple[Any, ...], list[tuple[int, _Flight]]] = {}
+        alike: dict[tuple[Any, ...], list[tuple[int, Flight]]] = {}
         # where every epoch moves the covariance and no node is stored, a fix of another lane changes nothing
         fixes = self.options.covariance_every > 1 or self.options.store != "none"
         for k, given in enumerate(zip(imus, gnsses, initials, strict=True)):
@@ -286,15 +291,15 @@ class LooselyCoupledEKF:
         initial_sigma: InitialSigma | ArrayLike,
         aids: Sequence[AidRecord],
         initial_states: ArrayLike | None,
-    ) -> _Flight:
+    ) -> Flight:
         """A record as the compiled loop takes it; arguments as of :meth:`run`."""
         record, nav, x0 = self.checked(imu, initial, initial_states)
         P0 = self.initial_covariance(initial_sigma, imu, nav)
         gyro, accel = self.augmentation.sensed(record)
         powers = following.powers(self.augmentation, imu)
-        return _Flight(record.t, gyro, accel, powers, nav, x0, P0, self.events(record.t, gnss, aids))
+        return Flight(record.t, gyro, accel, powers, nav, x0, P0, self.events(record.t, gnss, aids))
 
-    def _fly(self, flights: Sequence[_Flight], *, side_by_side: bool) -> list[FilterResult | InputError]:
+    def _fly(self, flights: Sequence[Flight], *, side_by_side: bool) -> list[FilterResult | InputError]:
         """Flights of the same times through the compiled loop: one as numbers, or up to :data:`~insemu.lanes.LANES` in lanes."""
         started = time.perf_counter()
         o, a, (lever_at, latency_at) = self.options, self.augmentation, self.installation()
