@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -50,7 +50,7 @@ DIVERGED = "navigation diverged (the states are not finite); is the IMU record i
 SAME_RATE = 0.01
 
 
-class _Flight(NamedTuple):
+class Flight(NamedTuple):
     """One record as the compiled loop takes it."""
 
     samples: Samples
@@ -88,6 +88,9 @@ class LooselyCoupledEKF:
         See :func:`~insemu.augment.augment`.
     """
 
+    #: Keyword arguments that a derived class was made with, beyond those below.
+    settings: Mapping[str, Any] = {}
+
     def __init__(
         self,
         belief: Belief,
@@ -124,20 +127,24 @@ class LooselyCoupledEKF:
 
     def with_options(self, **changes: Any) -> LooselyCoupledEKF:
         """The same design with some options (fields of :class:`FilterOptions`) replaced."""
-        return self._again(self.dt, replace(self.options, **changes))
+        return self.again(self.dt, replace(self.options, **changes))
 
     def at_rate_of(self, imu: ImuRecord) -> LooselyCoupledEKF:
         """The same design discretised at the sampling interval of a record; itself where that is within :data:`SAME_RATE` of its own."""
-        return self if abs(imu.dt / self.dt - 1.0) <= SAME_RATE else self._again(imu.dt, self.options)
+        return self if abs(imu.dt / self.dt - 1.0) <= SAME_RATE else self.again(imu.dt, self.options)
 
-    def _again(self, dt: float, options: FilterOptions) -> LooselyCoupledEKF:
-        return LooselyCoupledEKF(
+    def again(
+        self, dt: float, options: FilterOptions, kind: type[LooselyCoupledEKF] | None = None
+    ) -> LooselyCoupledEKF:
+        """The same design with another sampling interval, other options, or flown by another kind of filter, without settings of its own."""
+        return (kind or type(self))(
             self._belief,
             dt,
             lever_arm=self.lever_arm,
             gravity=self.gravity,
             gnss_sigma=self.gnss_sigma,
             options=options,
+            **({} if kind else self.settings),
         )
 
     @property
@@ -250,7 +257,7 @@ class LooselyCoupledEKF:
             What went wrong with one is returned in its place; the others are not touched by it.
         """
         out: dict[int, FilterResult | InputError] = {}
-        alike: dict[tuple[Any, ...], list[tuple[int, _Flight]]] = {}
+        alike: dict[tuple[Any, ...], list[tuple[int, Flight]]] = {}
         # where every epoch moves the covariance and no node is stored, a fix of another lane changes nothing
         fixes = self.options.covariance_every > 1 or self.options.store != "none"
         for k, given in enumerate(zip(imus, gnsses, initials, strict=True)):
@@ -280,13 +287,13 @@ class LooselyCoupledEKF:
         initial_sigma: InitialSigma | ArrayLike,
         aids: Sequence[AidRecord],
         initial_states: ArrayLike | None,
-    ) -> _Flight:
+    ) -> Flight:
         """A record as the compiled loop takes it; arguments as of :meth:`run`."""
         record, nav, x0 = self.checked(imu, initial, initial_states)
         P0 = self.initial_covariance(initial_sigma, imu, nav)
         gyro, accel = self.augmentation.sensed(record)
         samples = Samples(record.t, gyro, accel, following.powers(self.augmentation, imu))
-        return _Flight(samples, Start(nav, x0, P0), self.events(record.t, gnss, aids))
+        return Flight(samples, Start(nav, x0, P0), self.events(record.t, gnss, aids))
 
     def plan(self, t: Array, events: Events) -> Plan:
         """How a flight runs; ``t`` (n,) are the epochs, s."""
@@ -297,7 +304,7 @@ class LooselyCoupledEKF:
             self._node_epochs(t, at, events, moving=latency_at >= 0),
         )  # fmt: skip
 
-    def _fly(self, flights: Sequence[_Flight], *, side_by_side: bool) -> list[FilterResult | InputError]:
+    def _fly(self, flights: Sequence[Flight], *, side_by_side: bool) -> list[FilterResult | InputError]:
         """Flights of the same times through the compiled loop: one as numbers, or up to :data:`~insemu.lanes.LANES` in lanes."""
         started = time.perf_counter()
         t = flights[0].samples.t
