@@ -28,6 +28,7 @@ def command(
     cluster: str = option("--cluster", "", "record and check: fly on a Dask cluster: local, or tcp://HOST:PORT."),
     false_alarm: float = option("--false-alarm", 0.01, "Probability of reporting designs that did not change."),
     trials: int = option("--trials", 50, min=1, max=DRAWS),
+    requirements: list[str] = option("--require", []),
     out: str = option("--page", "", "Write a page with what changed (check, HTML)."),
     as_json: bool = option("--json", False),
 ) -> None:
@@ -48,6 +49,7 @@ def command(
     from insemu.cluster import cluster as dask_cluster
     from insemu.errors import InputError, nearest
     from insemu.evaluate import Baseline, Experiment, check, run_experiment, with_designs
+    from insemu.require import asked, guards
     from insemu.scenario import load
 
     if action not in ACTIONS:
@@ -55,6 +57,9 @@ def command(
     if action == "record" and not Path(baseline).resolve().parent.is_dir():
         raise InputError(f"the folder of {baseline} does not exist", where="--baseline")
     held = None if action == "record" else Baseline.read(baseline)
+    required = asked(requirements) if requirements else ()
+    if required and action != "check":
+        raise InputError(f"found with {action}, expected with check", where="--require")
     wanted = [d.strip() for d in designs.split(",") if d.strip()] or (list(held.figures) if held else [])
     console = Console(stderr=as_json)
     threads = workers or os.cpu_count() or 1
@@ -85,22 +90,36 @@ def command(
         results = fly("checking")
         changes = check(results, held, false_alarm=false_alarm)
         changed = [c for c in changes if c.significant]
+        watched = guards(results, required)
         if out:
-            from insemu.report import render_regression
+            from insemu.report import integrity_sections, render_regression
 
             about = {"baseline": Path(baseline).name, "recorded with digest": held.digest, "now": results.digest}
             console.print(
-                f"Page: {render_regression(changes, false_alarm, out, source=scenario, about=about)}", soft_wrap=True
+                f"Page: {render_regression(changes, false_alarm, out, source=scenario, about=about, more=integrity_sections(watched))}",
+                soft_wrap=True,
             )
         if as_json:
             rows = [vars(c) | {"significant": c.significant} for c in changes]
-            typer.echo(json.dumps({"digest": results.digest, "changed": len(changed), "figures": rows}, indent=1))
+            typer.echo(
+                json.dumps(
+                    {
+                        "digest": results.digest,
+                        "changed": len(changed),
+                        "figures": rows,
+                        "required": [g.to_json() for g in watched],
+                    },
+                    indent=1,
+                )
+            )
         from insemu.report import regression_answer
 
         console.print(regression_answer(changes, false_alarm), style="bold", highlight=False)
         for c in changed:
             console.print(str(c), soft_wrap=True, style="red")
-        if changed:
+        for g in watched:
+            console.print(str(g), soft_wrap=True, highlight=False, style=None if g.kept else "red")
+        if changed or not all(g.kept for g in watched):
             raise typer.Exit(1)
         console.print("Smallest change that would have been found (80 % power):")
         for c in changes:

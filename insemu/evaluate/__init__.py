@@ -21,7 +21,14 @@ from insemu.evaluate.consistency import (
 from insemu.evaluate.control import Controlled, control, planimetric, previewed
 from insemu.evaluate.covariance import CovarianceAnalysis
 from insemu.evaluate.emulated import EmulatedWorld
-from insemu.evaluate.errors import COMPONENTS, bootstrap_mean, navigation_error, paired_ratio, share_interval, within_outage
+from insemu.evaluate.errors import (
+    COMPONENTS,
+    bootstrap_mean,
+    navigation_error,
+    paired_ratio,
+    share_interval,
+    within_outage,
+)
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.folder import CACHE, MARKER, check_not_fewer, finish, only_writer, resolved, write, write_summary
 from insemu.evaluate.netcdf import write_netcdf

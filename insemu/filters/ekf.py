@@ -139,7 +139,9 @@ class LooselyCoupledEKF:
         """The same design discretised at the sampling interval of a record; itself where that is within :data:`SAME_RATE` of its own."""
         return self if abs(imu.dt / self.dt - 1.0) <= SAME_RATE else self.again(imu.dt, self.options)
 
-    def again(self, dt: float, options: FilterOptions, kind: type[LooselyCoupledEKF] | None = None) -> LooselyCoupledEKF:
+    def again(
+        self, dt: float, options: FilterOptions, kind: type[LooselyCoupledEKF] | None = None
+    ) -> LooselyCoupledEKF:
         """The same design with another sampling interval, other options, or flown by another kind of filter, without settings of its own."""
         return (kind or type(self))(
             self._belief,

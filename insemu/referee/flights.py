@@ -145,7 +145,9 @@ def drifts(flights: Flights, bound: Experiment, confidence: float = 0.95) -> lis
     ends = np.array([start + duration for start, duration in world.outage_windows])
     ideal = world.recording(0, ideal=True)
     assert ideal.gnss is not None
-    fixes = type(ideal.gnss)(ideal.gnss.t, ideal.gnss.llh, ideal.gnss.vel_ned)  # the filter's sigmas, not those of perfect fixes
+    fixes = type(ideal.gnss)(
+        ideal.gnss.t, ideal.gnss.llh, ideal.gnss.vel_ned
+    )  # the filter's sigmas, not those of perfect fixes
     known = bound.filter("filter", covariance_at=ends)
     run = known.run(ideal.imu, fixes, NavState.of(world.reference), bound.scenario.initial.sigma)
     out, dof = [], 2 * flights.runs
@@ -156,7 +158,9 @@ def drifts(flights: Flights, bound: Experiment, confidence: float = 0.95) -> lis
         square = float(np.mean(np.einsum("ri,ri->r", e, np.linalg.solve(B, e.T).T))) / 2.0
         rms = math.sqrt(float(np.mean((e**2).sum(axis=1))))
         out.append(
-            Drift(start, duration, rms, math.sqrt(float(np.trace(B))), *(math.sqrt(square * x) for x in (1.0, few, many)))
+            Drift(
+                start, duration, rms, math.sqrt(float(np.trace(B))), *(math.sqrt(square * x) for x in (1.0, few, many))
+            )
         )
     return out
 

@@ -29,7 +29,9 @@ Array = NDArray[np.float64]
 _STATE = ["t_s", "lat_deg", "lon_deg", "height_m", "vn_m_s", "ve_m_s", "vd_m_s", "roll_deg", "pitch_deg", "heading_deg"]
 _AXES = ("n", "e", "d")
 #: Standard deviations: attitude about the axes north, east, down.
-_SIGMA = [f"sigma_{what}_{axis}_{unit}" for what, unit in (("pos", "m"), ("vel", "m_s"), ("att", "deg")) for axis in _AXES]
+_SIGMA = [
+    f"sigma_{what}_{axis}_{unit}" for what, unit in (("pos", "m"), ("vel", "m_s"), ("att", "deg")) for axis in _AXES
+]
 COLUMNS = (*_STATE, *_SIGMA)
 _DEGREES = [k for k, name in enumerate(COLUMNS) if name.endswith("_deg")]
 
@@ -82,7 +84,9 @@ class Adapter:
         first[_DEGREES] = np.rad2deg(first[_DEGREES])
         noise = "\n".join(f"{axis}: {model}" for axis, model in self.belief.items())
         files = {
-            "imu.csv": _table(["t_s", *(f"gyro_{a}_rad_s" for a in "xyz"), *(f"accel_{a}_m_s2" for a in "xyz")], rates[1:]),
+            "imu.csv": _table(
+                ["t_s", *(f"gyro_{a}_rad_s" for a in "xyz"), *(f"accel_{a}_m_s2" for a in "xyz")], rates[1:]
+            ),
             "gnss.csv": _table([*COLUMNS[:7], *COLUMNS[10:16]], fixes),
             "start.csv": _table(COLUMNS, first[None]),
             "times.csv": _table(["t_s"], np.asarray(self.options.covariance_at)[:, None]),
@@ -103,7 +107,9 @@ class Adapter:
             raise InputError(f"found {error}, expected the columns {', '.join(COLUMNS)}", where=str(path)) from None
         values[:, _DEGREES] = np.deg2rad(values[:, _DEGREES])
         if not (np.isfinite(values).all() and (values[:, 10:] > 0.0).all() and (np.diff(values[:, 0]) > 0.0).all()):
-            raise InputError("expected increasing times, finite numbers and positive standard deviations", where=str(path))
+            raise InputError(
+                "expected increasing times, finite numbers and positive standard deviations", where=str(path)
+            )
         nav = np.column_stack([values[:, 1:7], [rotation.quaternion_from_rpy(rpy) for rpy in values[:, 7:10]]])
         covariance = values[:, 10:, None] ** 2 * np.eye(9)
         return FilterResult.stated(values[:, 0], nav, covariance, self.options.covariance_at, epochs=epochs)

@@ -51,7 +51,9 @@ class Adapter:
         if factor not in ("combined", "imu"):
             raise InputError(f"factor is {factor!r}, expected combined or imu")
         if other := {p.symbol for m in belief.values() for p in m} - {"WN", "RW"}:
-            raise InputError(f"GTSAM has no factor for {', '.join(sorted(other))}, expected white noise and random walks")
+            raise InputError(
+                f"GTSAM has no factor for {', '.join(sorted(other))}, expected white noise and random walks"
+            )
         self.factor, self.gravity, self.options, self.gnss_sigma = factor, gravity, options, gnss_sigma
         self.lever_arm = np.asarray(lever_arm, dtype=np.float64)
         self.white, self.walk, self.begun = (
@@ -81,9 +83,13 @@ class Adapter:
         t, rates = whole.t, np.hstack([whole.gyro, whole.accel]) / whole.widths(0.0)
         origin, frame = start.llh, earth.dcm_en(*start.llh[:2])
         wanted = np.searchsorted(t, np.asarray(self.options.covariance_at) - 1e-6).clip(0, t.size - 1)
-        fixes = {} if gnss is None else dict(zip(np.searchsorted(t, gnss.t - 1e-6).tolist(), range(len(gnss)), strict=True))
+        fixes = (
+            {} if gnss is None else dict(zip(np.searchsorted(t, gnss.t - 1e-6).tolist(), range(len(gnss)), strict=True))
+        )
         combined, C = self.factor == "combined", rotation.dcm_from_rpy(start.rpy)
-        pim = (gtsam.PreintegratedCombinedMeasurements if combined else gtsam.PreintegratedImuMeasurements)(self._params(origin), gtsam.imuBias.ConstantBias())
+        pim = (gtsam.PreintegratedCombinedMeasurements if combined else gtsam.PreintegratedImuMeasurements)(
+            self._params(origin), gtsam.imuBias.ConstantBias()
+        )
         pose, velocity, bias = gtsam.Pose3(gtsam.Rot3(C), np.zeros(3)), start.vel_ned, gtsam.imuBias.ConstantBias()
         graph, values, isam = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.ISAM2()
         sigma, turn = initial_sigma.to_array() ** 2, np.zeros((6, 6))
@@ -110,7 +116,9 @@ class Adapter:
                     at = earth.llh_to_ned(gnss.llh[fixes[row]], origin) - arm[:, 0]
                     graph.add(gtsam.GPSFactor(X(n), at, normal(np.diag(self.gnss_sigma[0] ** 2))))
                     if gnss.vel_ned is not None and np.isfinite(gnss.vel_ned[fixes[row]]).all():
-                        moving = frame.T @ earth.dcm_en(*gnss.llh[fixes[row], :2]) @ gnss.vel_ned[fixes[row]] - arm[:, 1]
+                        moving = (
+                            frame.T @ earth.dcm_en(*gnss.llh[fixes[row], :2]) @ gnss.vel_ned[fixes[row]] - arm[:, 1]
+                        )
                         graph.add(gtsam.PriorFactorVector(V(n), moving, normal(np.diag(self.gnss_sigma[1] ** 2))))
             for key, value in ((X(n), pose), (V(n), velocity), (B(n), bias)):
                 values.insert(key, value)
@@ -121,16 +129,23 @@ class Adapter:
             graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
             out.append(_stated(isam, found, n, origin, frame))
         nav, P = (np.stack(part) for part in zip(*out, strict=True))
-        return FilterResult.stated(t[nodes], nav, P, self.options.covariance_at, seconds=time.perf_counter() - begun, epochs=t.size - 1)
+        return FilterResult.stated(
+            t[nodes], nav, P, self.options.covariance_at, seconds=time.perf_counter() - begun, epochs=t.size - 1
+        )
 
 
 def _stated(isam: Any, found: Any, n: int, origin: Array, frame: Array) -> tuple[Array, Array]:
     """Navigation state (10,) and covariance (9, 9) of the last node, in axes of its own place."""
-    pose, joint = found.atPose3(X(n)), gtsam.Marginals(isam.getFactorsUnsafe(), found).jointMarginalCovariance([X(n), V(n)])
+    pose, joint = (
+        found.atPose3(X(n)),
+        gtsam.Marginals(isam.getFactorsUnsafe(), found).jointMarginalCovariance([X(n), V(n)]),
+    )
     llh = earth.ned_to_llh(pose.translation(), origin)
     turn = earth.dcm_en(*llh[:2]).T @ frame
     C = turn @ pose.rotation().matrix()
-    P = np.block([[joint.at(a, b) for b in (X(n), V(n))] for a in (X(n), V(n))])  # rotation and translation in body axes, velocity
+    P = np.block(
+        [[joint.at(a, b) for b in (X(n), V(n))] for a in (X(n), V(n))]
+    )  # rotation and translation in body axes, velocity
     J = np.zeros((9, 9))
     J[:3, 3:6], J[3:6, 6:], J[6:, :3] = C, turn, C
     return np.concatenate([llh, turn @ found.atVector(V(n)), rotation.quaternion_from_dcm(C)]), J @ P @ J.T
