@@ -65,7 +65,7 @@ OPTIONS: dict[str, tuple[str, str]] = {
     "--against": ("SCENARIO", "Score the designs of this scenario by the same outages."),
     "--require": (
         "REQUIREMENT",
-        "Such as '95 % < 2 m after 30 s'; may be repeated. Exit code 1 where one is broken, or an error hazardous more often than it leaves.",
+        "Such as '95 % < 2 m after 30 s'; may be repeated. Exit code 1 where one is broken.",
     ),
     "--baseline": ("FILE", "Baseline file (JSON), written by record."),
     "--beside": ("FILE", "JSON of other sensors' wavelet variances, drawn behind ours."),

@@ -1,4 +1,4 @@
-"""``insemu referee``: does a filter, of whatever kind, state its own errors?"""
+"""``insemu referee``: whether a filter, of whatever kind, states its own errors."""
 
 from __future__ import annotations
 

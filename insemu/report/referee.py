@@ -18,6 +18,7 @@ from insemu.shown import count_of
 Cells = tuple[list[str], list[list[str]]]
 #: Items that a filter's own list of failed tests has at most.
 MOST = 12
+WORLDS_SAID = "First component whose errors are not what is stated, when, and by what factor; -: nothing was found."
 
 
 def referee_answer(found: Sequence[Judgement]) -> str:
@@ -146,18 +147,19 @@ def render_referee(found: Sequence[Judgement], path: str | Path, *, source: str 
     chart = _nees(found)
     half = f"{100 * first.false_alarm / 2:g} %"
     how = [
-        f"Every filter flew {runs} realizations a world. It got the noise models of the sensors, the standard deviations of fixes and start, and never the truth.",
-        f"A filter that is right is accused with at most {100 * first.false_alarm:g} % for all its worlds and tests together: {half} for NEES of groups of states "
-        f"after a third, two thirds and the whole of a flight and at the ends of outages, and for NIS; {half} for every component at every second, which "
-        "finds where a lie begins.",
-        "Bounds are exact chi-square quantiles over independent realizations, where errors are normal. Differences of sigma up to 1 % are not counted.",
+        f"Every filter flew {runs} realizations a world. It got the noise models of the sensors and the standard deviations of fixes and start, "
+        "never the truth.",
+        f"A filter that is right is accused with at most {100 * first.false_alarm:g} % for all its worlds and tests together: {half} for NEES of "
+        f"groups of states after a third, two thirds and the whole of a flight and at the ends of outages, and for NIS; {half} for every component "
+        "at every second, which finds where a lie begins.",
+        "Bounds are exact chi-square quantiles over independent realizations, where errors are normal. Differences of sigma up to 1 % do not count.",
         "What a world would have found is exact for one test alone, so that all tests together find no less.",
         "In the worlds 'wrong ...' filters are given a wrong model on purpose, and should be accused: what is found there is no fault of theirs.",
         "The bound of an outage is the covariance of the filter that knows the noise, linearized along the true motion.",
         f"A start has converged if tilt is within 2 deg, heading within 5 deg and position within 5 m after {_length(first):.0f} s.",
     ]
     sections = [
-        page.Section("Worlds", [page.Table(*world_rows(found), caption="First component whose errors are not what is stated, when, and by what factor; -: nothing was found.", left=len(found) + 2)]),
+        page.Section("Worlds", [page.Table(*world_rows(found), caption=WORLDS_SAID, left=len(found) + 2)]),
         page.Section(
             f"What would have been found with {100 * POWER:.0f} %",
             [page.Table(*power_rows(found), caption="By how much sigma has to be too small (-) or too large (+).", left=2, wrap=True)],

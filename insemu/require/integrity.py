@@ -1,7 +1,7 @@
 """Does a filter keep a requirement, and does it know when it does not: protection levels from its covariance, and the Stanford diagram.
 
 A protection level is a bound of the error that the filter states from its covariance at a risk ``p``: horizontally ``sqrt(-2 ln p)`` times the
-standard deviation along the axis in which it is largest, for one component the normal quantile of ``1 - p / 2`` (RTCA DO-229E 2013, appendix J,
+standard deviation along the axis in which it is largest, for one component the normal quantile of ``1 - p / 2`` (RTCA DO-229E 2016, appendix J,
 whose factors 6.18 and 5.33 are those of 5e-9 and 1e-7). The limit of a requirement is the alert limit and the share that may exceed it the risk. A
 flight is hazardous where the error exceeds the limit and the protection level does not (Tossaint et al. 2007).
 """
@@ -72,10 +72,18 @@ class Guard:
         return {name: int(rows.sum()) for name, rows in zip(REGIONS, found, strict=True)}
 
     @property
+    def exceeded(self) -> int:
+        """Flights whose error is larger than the protection level."""
+        return int((self.error > self.protection).sum())
+
+    @property
     def kept(self) -> bool:
-        """Whether as many flights as required are within the limit, and no more are hazardous than may be, for all that chance allows."""
+        """Whether as many flights as required are within the limit, and errors exceed protection levels no more often than the risk says.
+
+        The second is broken where the exact 95 % interval of the share that exceeds them lies above the risk.
+        """
         n, r = self.error.size, self.requirement
-        return self.within >= r.share * n and share_interval(self.regions["hazardous"], n)[0] <= 1.0 - r.share
+        return self.within >= r.share * n and share_interval(self.exceeded, n)[0] <= 1.0 - r.share
 
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
@@ -83,7 +91,7 @@ class Guard:
         hazardous = share_interval(self.regions["hazardous"], n)
         return {
             "subject": self.subject, "requirement": r.text, "kept": self.kept, "flights": n, "within": self.within,
-            "within_interval95": share_interval(self.within, n), "regions": self.regions, "hazardous_interval95": hazardous,
+            "within_interval95": share_interval(self.within, n), "protection_exceeded": self.exceeded, "regions": self.regions, "hazardous_interval95": hazardous,
         }  # fmt: skip
 
     def __str__(self) -> str:
@@ -91,8 +99,9 @@ class Guard:
         low, high = (100 * x for x in share_interval(self.within, n))
         worst = [100 * x for x in share_interval(self.regions["hazardous"], n)]
         return (
-            f"{self.subject}: {r.text} {'is kept' if self.kept else 'is broken'}: {self.within} of {n} within the limit (95 %: {low:.1f} to {high:.1f} %), "
-            f"{self.regions['hazardous']} hazardous (95 %: {worst[0]:.1f} to {worst[1]:.1f} %)"
+            f"{self.subject}: {r.text} {'is kept' if self.kept else 'is broken'}: "
+            f"{self.within} of {n} within the limit (95 %: {low:.1f} to {high:.1f} %), "
+            f"{self.exceeded} above their protection level, {self.regions['hazardous']} hazardous (95 %: {worst[0]:.1f} to {worst[1]:.1f} %)"
         )
 
 
