@@ -91,7 +91,8 @@ class Guard:
         hazardous = share_interval(self.regions["hazardous"], n)
         return {
             "subject": self.subject, "requirement": r.text, "kept": self.kept, "flights": n, "within": self.within,
-            "within_interval95": share_interval(self.within, n), "protection_exceeded": self.exceeded, "regions": self.regions, "hazardous_interval95": hazardous,
+            "within_interval95": share_interval(self.within, n), "protection_exceeded": self.exceeded,
+            "regions": self.regions, "hazardous_interval95": hazardous,
         }  # fmt: skip
 
     def __str__(self) -> str:
