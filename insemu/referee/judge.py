@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from insemu.errors import InputError
 from insemu.evaluate import (
     COMPONENTS,
+    MEAN_SQUARE,
     Verdict,
     chi_square_bounds,
     nees_verdicts,
@@ -26,7 +27,6 @@ from insemu.evaluate import (
     share_interval,
     smallest_found,
 )
-from insemu.evaluate.verdict import MEAN_SQUARE
 from insemu.filters import named_filter
 from insemu.referee.flights import Drift, Flights, converged, cost, drifts
 from insemu.referee.worlds import World, starts, worlds
