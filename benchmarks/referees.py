@@ -1,6 +1,6 @@
 """How often the referee accuses a right filter, and finds one whose sigmas are 20 % too small where its stated power says that it would.
 
-Run ``python -m benchmarks.referees`` (``--pages N``, ``--realizations N``, ``--worlds NAMES``). Every page has a seed of its own. A right filter
+Run ``python -m benchmarks.referees`` (``--pages N``, ``--realizations N``, ``--worlds NAMES``; ``--families``: the page of the families instead). Every page has a seed of its own. A right filter
 is the extended Kalman filter that is given the truth; ``tests/wrong_filters.py:Small`` has its estimates and 0.8 times its sigmas.
 """
 
@@ -9,8 +9,18 @@ from __future__ import annotations
 import argparse
 
 from insemu.evaluate import share_interval
+from insemu.filters import FAMILIES
 from insemu.referee import FALSE_ALARM, POWER, referee
 from tests.wrong_filters import FACTOR
+
+
+def families() -> None:
+    """What the page of the families says."""
+    for j in referee([*FAMILIES, "ukf"]):
+        begun = ", ".join(f"{k} of {n} from {sigma}" for sigma, (k, n) in j.starts.items())
+        print(f"{j.name}: accused in {', '.join(r.world.name for r in j.accused) or 'none'}; converge: {begun}")
+        least = max(r.finds[0] for r in j.right), max(r.power["attitude"][0] for r in j.right)
+        print(f"  finds all sigmas {100 * least[0]:.0f} % too small, those of the attitude {100 * least[1]:.0f} %")
 
 
 def main() -> None:
@@ -18,7 +28,11 @@ def main() -> None:
     parser.add_argument("--pages", type=int, default=40)
     parser.add_argument("--realizations", type=int, default=16)
     parser.add_argument("--worlds", default="rest,turns,outages")
+    parser.add_argument("--families", action="store_true")
     asked = parser.parse_args()
+    if asked.families:
+        families()
+        return
     accused, claimed, found = [], 0, 0
     for seed in range(1000, 1000 + asked.pages):
         right, small = referee(

@@ -45,8 +45,8 @@ def _cell(row: Judged) -> str:
 
 def world_rows(found: Sequence[Judgement]) -> Cells:
     """Header and rows: what was found in each world, filter by filter."""
-    rows = [[r.world.name, *(_cell(j.rows[k]) for j in found), r.world.says] for k, r in enumerate(found[0].rows)]
-    return ["world", *(j.name for j in found), "what it is"], rows
+    rows = [[r.world.name, *(_cell(j.rows[k]) for j in found)] for k, r in enumerate(found[0].rows)]
+    return ["world", *(j.name for j in found)], rows
 
 
 def _percent(few: float, many: float) -> str:
@@ -144,6 +144,7 @@ def render_referee(found: Sequence[Judgement], path: str | Path, *, source: str 
         Filters that were asked about.
     """
     first, runs = found[0], max(r.flights.runs for j in found for r in j.rows)
+    said = [f"{r.world.name}: {r.world.says}" for r in first.rows]
     chart = _nees(found)
     half = f"{100 * first.false_alarm / 2:g} %"
     how = [
@@ -159,7 +160,7 @@ def render_referee(found: Sequence[Judgement], path: str | Path, *, source: str 
         f"A start has converged if tilt is within 2 deg, heading within 5 deg and position within 5 m after {_length(first):.0f} s.",
     ]
     sections = [
-        page.Section("Worlds", [page.Table(*world_rows(found), caption=WORLDS_SAID, left=len(found) + 2)]),
+        page.Section("Worlds", [page.Table(*world_rows(found), caption=WORLDS_SAID, left=len(found) + 1), page.Folded("What the worlds are", [page.Items(said)])]),
         page.Section(
             f"What would have been found with {100 * POWER:.0f} %",
             [page.Table(*power_rows(found), caption="By how much sigma has to be too small (-) or too large (+).", left=2, wrap=True)],
@@ -182,12 +183,12 @@ def render_referee(found: Sequence[Judgement], path: str | Path, *, source: str 
         )
     sections.append(page.Section("Starts with large errors", [page.Table(*start_rows(found), left=len(found) + 1)]))
     for j in found:
-        said = [f"{r.world.name}: {what}" for r in j.accused for what in r.what]
-        more = [f"and {len(said) - MOST} more in referee.json"] if len(said) > MOST else []
-        if said:
+        failed = [f"{r.world.name}: {what}" for r in j.accused for what in r.what]
+        more = [f"and {len(failed) - MOST} more in referee.json"] if len(failed) > MOST else []
+        if failed:
             sections.append(
                 page.Section(
-                    j.name, [page.Text(j.verdict), page.Folded("Tests that fail", [page.Items(said[:MOST] + more)])]
+                    j.name, [page.Text(j.verdict), page.Folded("Tests that fail", [page.Items(failed[:MOST] + more)])]
                 )
             )
     sections.append(page.Section("How", [page.Items(how)]))
