@@ -63,6 +63,10 @@ OPTIONS: dict[str, tuple[str, str]] = {
     "--known": ("FILE", "What else is known of the drive; its effects are removed first."),
     "--before": ("MODEL", "The nominal model, checked in the same way."),
     "--against": ("SCENARIO", "Score the designs of this scenario by the same outages."),
+    "--require": (
+        "REQUIREMENT",
+        "Such as '95 % < 2 m after 30 s'; may be repeated. Exit code 1 where one is broken.",
+    ),
     "--baseline": ("FILE", "Baseline file (JSON), written by record."),
     "--beside": ("FILE", "JSON of other sensors' wavelet variances, drawn behind ours."),
     "--same-as": ("LOG", "Another log: test axis by axis whether both have one noise model (wavelet variances)."),

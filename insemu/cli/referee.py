@@ -1,4 +1,4 @@
-"""``insemu referee``: does a filter, of whatever kind, state its own errors?"""
+"""``insemu referee``: whether a filter, of whatever kind, states its own errors."""
 
 from __future__ import annotations
 
@@ -57,8 +57,10 @@ def command(
         console.print(referee_answer(found), style="bold", soft_wrap=True, highlight=False, markup=False)
         for j in found if len(found) > 1 else ():
             console.print(f"  {j.verdict}", soft_wrap=True, highlight=False, markup=False)
-        print_table(console, "First lie", *world_rows(found), left=2, fit=True, gap=lambda row: False)
-        print_table(console, "Starts that converge", *start_rows(found), left=1, fit=True, gap=lambda row: False)
+        print_table(console, "First lie", *world_rows(found), left=len(found) + 1, fit=True, gap=lambda row: False)
+        print_table(
+            console, "Starts that converge", *start_rows(found), left=len(found) + 1, fit=True, gap=lambda row: False
+        )
         for name, value in seconds.items():
             console.print(f"{name}: {1e6 * value:.3g} us of CPU an epoch", soft_wrap=True, highlight=False)
         console.print(f"\nPage: {page} (referee.json next to it)", soft_wrap=True, highlight=False)

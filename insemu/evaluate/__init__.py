@@ -53,7 +53,7 @@ from insemu.evaluate.standings import Standing, answer
 from insemu.evaluate.sweep import Row, Sweep, best_of, conditions, front
 from insemu.evaluate.twin import LinearTwin
 from insemu.evaluate.until import Goal, Look, looks
-from insemu.evaluate.verdict import Verdict
+from insemu.evaluate.verdict import MEAN_SQUARE, Verdict
 from insemu.evaluate.ways import ways_of_run
 from insemu.evaluate.world import World, input_files
 
@@ -61,6 +61,7 @@ __all__ = [
     "CACHE",
     "COMPONENTS",
     "MARKER",
+    "MEAN_SQUARE",
     "Alteration",
     "Baseline",
     "Change",

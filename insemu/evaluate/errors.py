@@ -76,7 +76,14 @@ def within_outage(t: ArrayLike, start_s: float, duration_s: float) -> NDArray[np
 
 
 def share_interval(count: int, of: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Exact interval of a share, from ``count`` of ``of`` independent draws (Clopper and Pearson 1934)."""
+    """Exact interval of a share (Clopper and Pearson 1934).
+
+    Parameters
+    ----------
+    count, of : int
+        Successes, and independent draws.
+    confidence : float
+    """
     tail = 0.5 * (1.0 - confidence)
     low = float(scipy.special.betaincinv(count, of - count + 1, tail)) if count else 0.0
     high = float(scipy.special.betaincinv(count + 1, of - count, 1.0 - tail)) if count < of else 1.0

@@ -1,4 +1,4 @@
-"""Any filter against the truth in a table of worlds: does it state its own errors, and what would have been found?"""
+"""Any filter against the truth in a table of worlds: whether it states its own errors, and what would have been found."""
 
 from insemu.referee.flights import Drift, Flights
 from insemu.referee.judge import (

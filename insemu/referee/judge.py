@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from insemu.errors import InputError
 from insemu.evaluate import (
     COMPONENTS,
+    MEAN_SQUARE,
     Verdict,
     chi_square_bounds,
     nees_verdicts,
@@ -26,10 +27,10 @@ from insemu.evaluate import (
     share_interval,
     smallest_found,
 )
-from insemu.evaluate.verdict import MEAN_SQUARE
 from insemu.filters import named_filter
 from insemu.referee.flights import Drift, Flights, converged, cost, drifts
 from insemu.referee.worlds import World, starts, worlds
+from insemu.shown import count_of
 
 Array = NDArray[np.float64]
 
@@ -148,7 +149,7 @@ class Judgement:
         right, accused = self.right, self.accused
         if accused:
             lies = [r for r in accused if r.lie is not None]
-            words = f"{self.name} does not state its errors in {len(accused)} of {len(right)} worlds"
+            words = f"{self.name} does not state its errors in {len(accused)} of {count_of(len(right), 'world')}"
             first = min(lies, key=lambda r: r.lie.t if r.lie else 0.0, default=None)
             return f"{words}: {', '.join(r.world.name for r in accused)}." + (
                 f" First in {first.world.name}: {first.lie}." if first else ""
@@ -157,7 +158,7 @@ class Judgement:
             return f"{self.name} was flown in worlds with wrong models only."
         least = max(r.finds[0] for r in right)
         return (
-            f"No difference between the errors of {self.name} and what it states was found in {len(right)} worlds. All sigmas "
+            f"No difference between the errors of {self.name} and what it states was found in {count_of(len(right), 'world')}. All sigmas "
             f"{100 * least:.0f} % too small would have been found in each of them with {100 * POWER:.0f} %."
         )
 

@@ -39,6 +39,7 @@ from insemu.report.gap import (
     shaking_said,
     shown_value,
 )
+from insemu.report.integrity import integrity_sections, region_rows
 from insemu.report.plotting import plot
 from insemu.report.predictive import render_check
 from insemu.report.preview import PREVIEWED, preview_notes, preview_rows, render_preview
@@ -118,6 +119,7 @@ __all__ = [
     "following_answer",
     "frontier_rows",
     "gap_headline",
+    "integrity_sections",
     "is_better",
     "judged_rows",
     "outage_rows_of",
@@ -130,6 +132,7 @@ __all__ = [
     "rank_lines",
     "reason_rows",
     "referee_answer",
+    "region_rows",
     "regression_answer",
     "render_array",
     "render_budgets",

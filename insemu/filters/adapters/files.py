@@ -101,7 +101,7 @@ class Adapter:
 
     def _read(self, path: Path, epochs: int) -> FilterResult:
         try:
-            table = np.atleast_1d(np.genfromtxt(path, delimiter=",", names=True, dtype=np.float64))
+            table: Any = np.atleast_1d(np.genfromtxt(path, delimiter=",", names=True, dtype=np.float64))
             values = np.column_stack([table[name] for name in COLUMNS])
         except ValueError as error:
             raise InputError(f"found {error}, expected the columns {', '.join(COLUMNS)}", where=str(path)) from None

@@ -29,19 +29,10 @@ INTEGRATION = 1e-10
 
 
 class Adapter:
-    """GTSAM under :class:`~insemu.filters.protocol.NavigationFilter`; beliefs are white noise and random walks, fixes without outliers.
+    """GTSAM under :class:`~insemu.filters.protocol.NavigationFilter`, which says what the arguments are.
 
-    Parameters
-    ----------
-    belief, dt, lever_arm, gravity, gnss_sigma, options
-        As the protocol says.
-    factor : {"combined", "imu"}
-        ``CombinedImuFactor``, whose preintegration carries the walk of the bias, or ``ImuFactor`` with a walk between nodes.
-
-    Raises
-    ------
-    InputError
-        A process that the factors do not have, or another factor.
+    ``factor`` is ``combined`` (``CombinedImuFactor``, whose preintegration carries the walk of the bias) or ``imu`` (``ImuFactor``, and a walk
+    between nodes). Raises ``InputError`` for another one, and for a process other than white noise and random walks.
     """
 
     def __init__(
@@ -52,7 +43,7 @@ class Adapter:
             raise InputError(f"factor is {factor!r}, expected combined or imu")
         if other := {p.symbol for m in belief.values() for p in m} - {"WN", "RW"}:
             raise InputError(
-                f"GTSAM has no factor for {', '.join(sorted(other))}, expected white noise and random walks"
+                f"found {', '.join(sorted(other))}, expected white noise and random walks, of which GTSAM has factors"
             )
         self.factor, self.gravity, self.options, self.gnss_sigma = factor, gravity, options, gnss_sigma
         self.lever_arm = np.asarray(lever_arm, dtype=np.float64)
@@ -83,21 +74,23 @@ class Adapter:
         t, rates = whole.t, np.hstack([whole.gyro, whole.accel]) / whole.widths(0.0)
         origin, frame = start.llh, earth.dcm_en(*start.llh[:2])
         wanted = np.searchsorted(t, np.asarray(self.options.covariance_at) - 1e-6).clip(0, t.size - 1)
-        fixes = (
-            {} if gnss is None else dict(zip(np.searchsorted(t, gnss.t - 1e-6).tolist(), range(len(gnss)), strict=True))
+        good = (
+            ()
+            if gnss is None
+            else np.flatnonzero(np.isfinite(gnss.llh).all(axis=1) & (gnss.t > t[0]) & (gnss.t <= t[-1]))
         )
+        fixes = {int(np.searchsorted(t, gnss.t[k] - 1e-6)): k for k in good} if gnss is not None else {}
         combined, C = self.factor == "combined", rotation.dcm_from_rpy(start.rpy)
-        pim = (gtsam.PreintegratedCombinedMeasurements if combined else gtsam.PreintegratedImuMeasurements)(
-            self._params(origin), gtsam.imuBias.ConstantBias()
-        )
         pose, velocity, bias = gtsam.Pose3(gtsam.Rot3(C), np.zeros(3)), start.vel_ned, gtsam.imuBias.ConstantBias()
+        made = gtsam.PreintegratedCombinedMeasurements if combined else gtsam.PreintegratedImuMeasurements
+        pim = made(self._params(origin), bias)
         graph, values, isam = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.ISAM2()
         sigma, turn = initial_sigma.to_array() ** 2, np.zeros((6, 6))
         turn[:3, :3] = turn[3:, 3:] = C.T
         graph.add(gtsam.PriorFactorPose3(X(0), pose, normal(turn @ np.diag(np.r_[sigma[6:], sigma[:3]]) @ turn.T)))
         graph.add(gtsam.PriorFactorVector(V(0), velocity, normal(np.diag(sigma[3:6]))))
         graph.add(gtsam.PriorFactorConstantBias(B(0), bias, normal(np.diag(np.r_[self.begun[3:], self.begun[:3]]))))
-        nodes, last, out = sorted({0, *wanted.tolist(), *(k for k in fixes if 0 < k < t.size)}), 0, []
+        nodes, last, out = sorted({0, *wanted.tolist(), *fixes}), 0, []
         for n, row in enumerate(nodes):
             if n:
                 pim.resetIntegrationAndSetBias(bias)
@@ -111,14 +104,12 @@ class Adapter:
                     graph.add(gtsam.ImuFactor(X(n - 1), V(n - 1), X(n), V(n), B(n - 1), pim))
                     walk = normal(np.diag(np.r_[self.walk[3:], self.walk[:3]]) * (t[row] - t[last]))
                     graph.add(gtsam.BetweenFactorConstantBias(B(n - 1), B(n), gtsam.imuBias.ConstantBias(), walk))
-                if gnss is not None and row in fixes and np.isfinite(gnss.llh[fixes[row]]).all():
+                if gnss is not None and (at := fixes.get(row)) is not None:
                     arm = pose.rotation().matrix() @ np.c_[self.lever_arm, np.cross(rates[row, :3], self.lever_arm)]
-                    at = earth.llh_to_ned(gnss.llh[fixes[row]], origin) - arm[:, 0]
-                    graph.add(gtsam.GPSFactor(X(n), at, normal(np.diag(self.gnss_sigma[0] ** 2))))
-                    if gnss.vel_ned is not None and np.isfinite(gnss.vel_ned[fixes[row]]).all():
-                        moving = (
-                            frame.T @ earth.dcm_en(*gnss.llh[fixes[row], :2]) @ gnss.vel_ned[fixes[row]] - arm[:, 1]
-                        )
+                    place = earth.llh_to_ned(gnss.llh[at], origin) - arm[:, 0]
+                    graph.add(gtsam.GPSFactor(X(n), place, normal(np.diag(self.gnss_sigma[0] ** 2))))
+                    if gnss.vel_ned is not None and np.isfinite(gnss.vel_ned[at]).all():
+                        moving = frame.T @ earth.dcm_en(*gnss.llh[at, :2]) @ gnss.vel_ned[at] - arm[:, 1]
                         graph.add(gtsam.PriorFactorVector(V(n), moving, normal(np.diag(self.gnss_sigma[1] ** 2))))
             for key, value in ((X(n), pose), (V(n), velocity), (B(n), bias)):
                 values.insert(key, value)
@@ -129,23 +120,18 @@ class Adapter:
             graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
             out.append(_stated(isam, found, n, origin, frame))
         nav, P = (np.stack(part) for part in zip(*out, strict=True))
-        return FilterResult.stated(
-            t[nodes], nav, P, self.options.covariance_at, seconds=time.perf_counter() - begun, epochs=t.size - 1
-        )
+        seconds = time.perf_counter() - begun
+        return FilterResult.stated(t[nodes], nav, P, self.options.covariance_at, seconds=seconds, epochs=t.size - 1)
 
 
 def _stated(isam: Any, found: Any, n: int, origin: Array, frame: Array) -> tuple[Array, Array]:
     """Navigation state (10,) and covariance (9, 9) of the last node, in axes of its own place."""
-    pose, joint = (
-        found.atPose3(X(n)),
-        gtsam.Marginals(isam.getFactorsUnsafe(), found).jointMarginalCovariance([X(n), V(n)]),
-    )
+    pose, keys = found.atPose3(X(n)), [X(n), V(n)]
+    joint = gtsam.Marginals(isam.getFactorsUnsafe(), found).jointMarginalCovariance(keys)
     llh = earth.ned_to_llh(pose.translation(), origin)
     turn = earth.dcm_en(*llh[:2]).T @ frame
     C = turn @ pose.rotation().matrix()
-    P = np.block(
-        [[joint.at(a, b) for b in (X(n), V(n))] for a in (X(n), V(n))]
-    )  # rotation and translation in body axes, velocity
+    P = np.block([[joint.at(a, b) for b in keys] for a in keys])  # rotation and translation in body axes, velocity
     J = np.zeros((9, 9))
     J[:3, 3:6], J[3:6, 6:], J[6:, :3] = C, turn, C
     return np.concatenate([llh, turn @ found.atVector(V(n)), rotation.quaternion_from_dcm(C)]), J @ P @ J.T
