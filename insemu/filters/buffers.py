@@ -106,8 +106,8 @@ class Buffers(NamedTuple):
 
     def _of(self, change: Callable[[Array], Array]) -> Buffers:
         """With its numbers, not its integers, replaced by a function of them."""
-        fields: dict[str, Any] = self._asdict()
-        return self._replace(**{k: change(v) for k, v in fields.items() if v.dtype.kind == "f"})
+        changed: dict[str, Any] = {k: change(v) for k, v in self._asdict().items() if v.dtype.kind == "f"}
+        return self._replace(**changed)
 
     def result(
         self,
