@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,14 +25,8 @@ Array = NDArray[np.float64]
 SETTLED = 1e-12
 
 
-@njit(cache=True, nogil=True)
-def kalman(
-    Phi: Array, Q: Array, c: Array, R: float, u: Array, x0: Array, P0: Array, y: Array,
-    xf: Array, Pf: Array, Pp: Array, keep: bool,
-) -> tuple[float, int]:  # pragma: no cover - compiled  # fmt: skip
-    """Filter forwards; returns the log-likelihood and the index from which covariances are constant.
-
-    ``xf`` (N, n) gets the filtered means; ``Pf``, ``Pp`` (N or 1, n, n) filtered and predicted covariances up to that index.
+class Model(NamedTuple):
+    """A state space as compiled code takes it.
 
     Parameters
     ----------
@@ -45,15 +40,51 @@ def kalman(
         Constant input per sample.
     x0, P0 : (n,), (n, n) arrays
         Mean and covariance of the state before the first sample.
+    """
+
+    Phi: Array
+    Q: Array
+    c: Array
+    R: float
+    u: Array
+    x0: Array
+    P0: Array
+
+
+class Filtered(NamedTuple):
+    """Filtered means (N, n); filtered and predicted covariances (N, n, n) up to where they are constant."""
+
+    x: Array
+    P: Array
+    ahead: Array
+
+
+class Moments(NamedTuple):
+    """Smoothed means and variances (N, n), and the sums of :class:`Smoothed` (n, n)."""
+
+    mean: Array
+    variance: Array
+    now: Array
+    cross: Array
+    before: Array
+    first: Array
+
+
+@njit(cache=True, nogil=True)
+def kalman(model: Model, y: Array, out: Filtered, keep: bool) -> tuple[float, int]:  # pragma: no cover - compiled
+    """Filter forwards; returns the log-likelihood and the index from which covariances are constant.
+
+    Parameters
+    ----------
+    model : Model
     y : (N,) array
         Signal.
-    xf : (N, n) array
-        Overwritten with the filtered means.
-    Pf, Pp : (N, n, n) arrays
-        Overwritten, up to the returned index, with the filtered and predicted covariances.
+    out : Filtered
+        Overwritten; without ``keep`` left alone, and of any size.
     keep : bool
-        Without it ``xf``, ``Pf`` and ``Pp`` are left alone and may have any size.
     """
+    Phi, Q, c, R, u, x0, P0 = model
+    xf, Pf, Pp = out
     n = c.size
     x, xp = x0.copy(), np.empty(n)
     P, M, T, K = P0.copy(), np.empty((n, n)), np.empty((n, n)), np.empty(n)
@@ -119,33 +150,22 @@ def kalman(
 
 
 @njit(cache=True, nogil=True)
-def smooth_sums(
-    Phi: Array, u: Array, c: Array, y: Array, xf: Array, Pf: Array, Pp: Array, settled: int, xs: Array, Ps: Array,
-    now: Array, cross: Array, before: Array, first: Array,
-) -> None:  # pragma: no cover - compiled  # fmt: skip
+def smooth_sums(model: Model, filtered: Filtered, settled: int, out: Moments) -> None:  # pragma: no cover - compiled
     """Smooth backwards after :func:`kalman`; fills the smoothed means and the sums of second moments of the covariances.
 
-    ``now`` = sum over t = 1..N-1 of P_t, ``cross`` of P_(t,t-1), ``before`` of P_(t-1); ``first`` = P_0; ``Ps`` (N, n) the diagonals.
+    ``now`` = sum over t = 1..N-1 of P_t, ``cross`` of P_(t,t-1), ``before`` of P_(t-1); ``first`` = P_0; ``variance`` (N, n) the diagonals.
 
     Parameters
     ----------
-    Phi : (n, n) array
-        Transition per sample.
-    u : (n,) array
-        Constant input per sample.
-    c : (n,) array
-        What a sample sees of the state.
-    y : (N,) array
-        Signal.
-    xf, Pf, Pp : (N, n), (N, n, n), (N, n, n) arrays
-        Of :func:`kalman`.
+    model : Model
+    filtered : Filtered
     settled : int
         Index from which the covariances are constant, of :func:`kalman`.
-    xs, Ps : (N, n) arrays
-        Overwritten: smoothed means, and variances of the smoothed states.
-    now, cross, before, first : (n, n) arrays
-        Overwritten as above.
+    out : Moments
+        Overwritten.
     """
+    Phi, u, (xf, Pf, Pp) = model.Phi, model.u, filtered
+    xs, Ps, now, cross, before, first = out
     N, n = xf.shape
     now[:, :] = 0.0
     cross[:, :] = 0.0
@@ -266,7 +286,7 @@ class Smoothed:
     log_likelihood: float
 
 
-def _prepared(block: StateBlock, y: ArrayLike, u: ArrayLike | None, x0: ArrayLike | None) -> tuple[Array, Array, Array]:
+def _prepared(block: StateBlock, y: ArrayLike, u: ArrayLike | None, x0: ArrayLike | None) -> tuple[Array, Model]:
     signal = np.ascontiguousarray(y, dtype=np.float64)
     if signal.ndim != 1 or signal.size == 0:
         raise InputError(f"the signal has shape {signal.shape}, expected (n,) with at least one sample")
@@ -276,7 +296,7 @@ def _prepared(block: StateBlock, y: ArrayLike, u: ArrayLike | None, x0: ArrayLik
     start = np.zeros(block.n) if x0 is None else np.asarray(x0, dtype=np.float64)
     if drift.shape != (block.n,) or start.shape != (block.n,):
         raise InputError(f"u and x0 have shapes {drift.shape} and {start.shape}, expected ({block.n},)")
-    return signal, drift, start
+    return signal, Model(_c(block.Phi), _c(block.Q), _c(block.c), block.white, drift, start, _c(block.P0))
 
 
 def log_likelihood(
@@ -305,26 +325,13 @@ def log_likelihood(
     InputError
         Wrong shapes, values that are not finite.
     """
-    signal, drift, start = _prepared(block, y, u, x0)
+    signal, model = _prepared(block, y, u, x0)
     if block.n == 0:
         if block.white <= 0:
             return -math.inf
         return float(-0.5 * (signal.size * math.log(2.0 * math.pi * block.white) + signal @ signal / block.white))
-    empty2, empty3 = np.empty((1, 1)), np.empty((1, 1, 1))
-    value, _ = kalman(
-        _c(block.Phi),
-        _c(block.Q),
-        _c(block.c),
-        block.white,
-        drift,
-        start,
-        _c(block.P0),
-        signal,
-        empty2,
-        empty3,
-        empty3,
-        False,
-    )
+    nothing = np.empty((1, 1, 1))
+    value, _ = kalman(model, signal, Filtered(nothing[0], nothing, nothing), False)
     return float(value)
 
 
@@ -346,18 +353,15 @@ def smooth(block: StateBlock, y: ArrayLike, *, u: ArrayLike | None = None, x0: A
     InputError
         As :func:`log_likelihood`; a block without states.
     """
-    signal, drift, start = _prepared(block, y, u, x0)
+    signal, model = _prepared(block, y, u, x0)
     n, N = block.n, signal.size
     if n == 0:
         raise InputError("a block without states has nothing to smooth")
-    xf, Pf, Pp = np.empty((N, n)), np.empty((N, n, n)), np.empty((N, n, n))
-    value, settled = kalman(
-        _c(block.Phi), _c(block.Q), _c(block.c), block.white, drift, start, _c(block.P0), signal, xf, Pf, Pp, True
-    )
-    xs, Ps = np.empty((N, n)), np.empty((N, n))
-    now, cross, before, first = (np.zeros((n, n)) for _ in range(4))
-    smooth_sums(_c(block.Phi), drift, _c(block.c), signal, xf, Pf, Pp, settled, xs, Ps, now, cross, before, first)
-    return Smoothed(xs, Ps, now, cross, before, first, float(value))
+    filtered = Filtered(np.empty((N, n)), np.empty((N, n, n)), np.empty((N, n, n)))
+    value, settled = kalman(model, signal, filtered, True)
+    out = Moments(np.empty((N, n)), np.empty((N, n)), *(np.zeros((n, n)) for _ in range(4)))
+    smooth_sums(model, filtered, settled, out)
+    return Smoothed(*out, float(value))
 
 
 def _c(a: Array) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -76,14 +78,8 @@ def _measured(P: Array, G: Array, H: Array, var: Array, first: int, last: int) -
                 P[j, i] = x
 
 
-@njit(cache=True, nogil=True)
-def outages(
-    F: Array, E: Array, D: Array, N: Array, C: Array, R: Array, H: Array, var: Array, q: Array, white: Array, P: Array, starts: Ints,
-    ends: Ints, out: Array, most: Array,
-) -> None:  # fmt: skip
-    """Covariances of the navigation errors at the ends of outages, of sensors side by side (:mod:`insemu.lanes`).
-
-    Each sensor has the filter that knows its own figures, whose covariance is that of its errors.
+class Nodes(NamedTuple):
+    """A track from node to node, m states of the sensors and w rows of measurements.
 
     Parameters
     ----------
@@ -93,6 +89,27 @@ def outages(
         What unit driving noise of each state (and unit white noise of each axis) adds.
     H, var : (k + 1, w, 9), (k + 1, w) arrays
         Measurements at the nodes, those of fixes first; a variance that is not finite is none.
+    """
+
+    F: Array
+    E: Array
+    D: Array
+    N: Array
+    C: Array
+    R: Array
+    H: Array
+    var: Array
+
+
+@njit(cache=True, nogil=True)
+def outages(track: Nodes, q: Array, white: Array, P: Array, starts: Ints, ends: Ints, out: Array, most: Array) -> None:
+    """Covariances of the navigation errors at the ends of outages, of sensors side by side (:mod:`insemu.lanes`).
+
+    Each sensor has the filter that knows its own figures, whose covariance is that of its errors.
+
+    Parameters
+    ----------
+    track : Nodes
     q, white : (m,), (6,) arrays of lanes
         Variances of the driving and the white noise of each sensor.
     P : (9 + m, 9 + m) array of lanes
@@ -104,6 +121,7 @@ def outages(
     most : (1,) array of lanes
         Overwritten: the largest variance of a component of the attitude at any node, before its fix.
     """
+    F, E, D, N, C, R, H, var = track
     n, rows = P.shape[0], var.shape[1]
     X, G, free = zeros(P, (n, 9)), zeros(P, n), zeros(P, (n, n))
     for i in range(6, 9):

@@ -18,7 +18,7 @@ from insemu.evaluate import EmulatedWorld
 from insemu.filters import AIDS, AidUse, Intervals, aid_jacobian, basis
 from insemu.lanes import LANES, empty, lanes_of
 from insemu.records import AidRecord
-from insemu.require.kernel import FIX_ROWS, outages
+from insemu.require.kernel import FIX_ROWS, Nodes, outages
 from insemu.require.sensors import Sensor, States, states_of
 from insemu.scenario import Scenario, code_version
 from insemu.strapdown import NavState, mechanize_array
@@ -192,8 +192,8 @@ class Track:
             alike.setdefault(one.kind(self.dt), []).append(i)
         for members in alike.values():
             states = states_of([sensors[i] for i in members], self.dt)
-            E, D, N, C, R = self.responses(states)
-            m = E.shape[2]
+            track = Nodes(self.F, *self.responses(states), H, var)
+            m = track.E.shape[2]
             for first in range(0, len(members), LANES):
                 some = members[first : first + LANES]
                 lanes = np.minimum(np.arange(first, first + LANES), len(members) - 1)
@@ -204,7 +204,7 @@ class Track:
                 P[range(9, 9 + m), range(9, 9 + m)] = states.P0[:, lanes]
                 q[:], white[:] = states.q[:, lanes], states.white[:, lanes]
                 driven = lanes_of(q), lanes_of(white), lanes_of(P)
-                outages(self.F, E, D, N, C, R, H, var, *driven, starts, ends, lanes_of(out), lanes_of(most))
+                outages(track, *driven, starts, ends, lanes_of(out), lanes_of(most))
                 found[np.array(some)[:, None], order] = out.transpose(4, 1, 0, 2, 3)[: len(some)]
                 attitude[some] = np.sqrt(most[0, : len(some)])
         return found, attitude
