@@ -192,7 +192,8 @@ class Track:
             alike.setdefault(one.kind(self.dt), []).append(i)
         for members in alike.values():
             states = states_of([sensors[i] for i in members], self.dt)
-            track = Nodes(self.F, *self.responses(states), H, var)
+            E, D, N, C, R = self.responses(states)
+            track = Nodes(self.F, E, D, N, C, R, H, var)
             m = track.E.shape[2]
             for first in range(0, len(members), LANES):
                 some = members[first : first + LANES]
