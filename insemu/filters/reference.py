@@ -232,10 +232,11 @@ def _flown(ekf: LooselyCoupledEKF, given: Flight) -> FilterResult:
     if o.covariance_every != 1 or o.store != "none":
         raise InputError("the reference filter runs at full covariance rate and without nodes")
     started = time.perf_counter()
-    t, n, events = given.t, ekf.layout.n, given.events
+    (t, gyro, accel, power), begun, events = given.samples, given.start, given.events
+    n = ekf.layout.n
     kf = KalmanFilter(dim_x=n, dim_z=FIX_ROWS)
-    kf.x, kf.P, power = np.zeros(n), given.P0, given.powers
-    flight = _Moving(ekf, kf, np.concatenate([given.nav, np.zeros(3)]), given.x0, t, given.gyro)
+    kf.x, kf.P = np.zeros(n), begun.P
+    flight = _Moving(ekf, kf, np.concatenate([begun.nav, np.zeros(3)]), begun.x, t, gyro)
     f, w = events.z.shape
     thresholds = ekf.thresholds(w)
     fixes = FixTable(
@@ -246,7 +247,7 @@ def _flown(ekf: LooselyCoupledEKF, given: Flight) -> FilterResult:
     wanted = ekf.covariance_epochs(t)
     kept: list[Array] = []
     rows: list[tuple[float, Array, Array, Array]] = []
-    sensed = np.hstack([given.gyro, given.accel])
+    sensed = np.hstack([gyro, accel])
     for k in range(t.size):
         if k > 0:
             flight.predict(sensed[k], t[k] - t[k - 1], power[min(k, len(power) - 1)])

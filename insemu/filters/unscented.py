@@ -25,10 +25,10 @@ from insemu.errors import InputError
 from insemu.filters.aids import AIDS, CODES
 from insemu.filters.buffers import Buffers
 from insemu.filters.ekf import DIVERGED, Flight, LooselyCoupledEKF
-from insemu.filters.events import Events
 from insemu.filters.families import Family
+from insemu.filters.packed import Start
 from insemu.filters.results import FilterResult
-from insemu.filters.sigma_points import Design, Points, Record, fly
+from insemu.filters.sigma_points import Design, Points, fly
 from insemu.lanes import LANES
 
 Array = NDArray[np.float64]
@@ -106,9 +106,9 @@ class UnscentedKalmanFilter(LooselyCoupledEKF):
         """One record through the compiled loop of the points."""
         started = time.perf_counter()
         a, opts, n = self.augmentation, self.options, self.layout.n
-        events: Events = f.events
-        cov_epoch = self.covariance_epochs(f.t)
-        b = Buffers.of(n, f.t.size, opts, events, cov_epoch.size, 0)
+        samples, start, events = f.samples, f.start, f.events
+        plan = self.plan(samples.t, events)
+        b = Buffers.of(n, samples.t.size, opts, events, plan.cov_epoch.size, 0)
         groups = -(-(2 * n + 1) // LANES)
         below = -(-max(6 + a.m, events.z.shape[1]) // LANES)
         points = Points(
@@ -122,21 +122,13 @@ class UnscentedKalmanFilter(LooselyCoupledEKF):
         gamma = self.scaled.alpha * np.sqrt(n)
         roots = np.stack([_root(a.power(count + 1)[1]) for count in range(opts.covariance_every)])
         design = Design(
-            a.Phi, roots, a.axis, a.c, a.driver, a.white, self.lever_arm, self.installation()[0], self._gravity, self.thresholds(events.z.shape[1]),
-            opts.gate_timeout, opts.covariance_every, opts.output_every, gamma, self.scaled.beta - self.scaled.alpha**2, _angles(events.z.shape[1]),
+            a.Phi, roots, a.axis, a.c, a.driver, a.white, plan, gamma, self.scaled.beta - self.scaled.alpha**2, _angles(events.z.shape[1])
         )  # fmt: skip
-        record = Record(
-            f.t, f.gyro, f.accel, events.epoch, events.kind, events.since, events.tau, events.z, events.var, events.settings, events.next_alike,
-            events.first_of,
-        )  # fmt: skip
-        nav, x, S = np.concatenate([f.nav, np.zeros(3)]), f.x0.copy(), _root(f.P0)
-        if (
-            fly(points, design, record, nav, x, S, cov_epoch, (b.nav, b.var, b.x, b.nu, b.S, b.nis, b.dof, b.ok, b.P))
-            or not np.isfinite(nav).all()
-        ):
+        start = Start(np.concatenate([start.nav, np.zeros(3)]), start.x.copy(), _root(start.P))
+        if fly(points, design, samples, events, start, b) or not np.isfinite(start.nav).all():
             return InputError(DIVERGED)
-        b.last[:] = S @ S.T
-        return b.result(self.layout, f.t, opts, events, cov_epoch, 0, time.perf_counter() - started)
+        b.last[:] = start.P @ start.P.T
+        return b.result(self.layout, samples.t, opts, events, plan.cov_epoch, 0, time.perf_counter() - started)
 
 
 def _angles(width: int) -> Array:
