@@ -1,7 +1,8 @@
 """How often the referee accuses a right filter, and finds one whose sigmas are 20 % too small where its stated power says that it would.
 
-Run ``python -m benchmarks.referees`` (``--pages N``, ``--realizations N``, ``--worlds NAMES``; ``--families``: the page of the families instead). Every page has a seed of its own. A right filter
-is the extended Kalman filter that is given the truth; ``tests/wrong_filters.py:Small`` has its estimates and 0.8 times its sigmas.
+Run ``python -m benchmarks.referees`` (``--pages N``, ``--realizations N``, ``--worlds NAMES``; ``--families``: the page of the families instead).
+Every page has a seed of its own. A right filter is the extended Kalman filter that is given the truth; ``tests/wrong_filters.py:Small`` has its
+estimates and 0.8 times its sigmas.
 """
 
 from __future__ import annotations

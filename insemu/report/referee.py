@@ -160,7 +160,10 @@ def render_referee(found: Sequence[Judgement], path: str | Path, *, source: str 
         f"A start has converged if tilt is within 2 deg, heading within 5 deg and position within 5 m after {_length(first):.0f} s.",
     ]
     sections = [
-        page.Section("Worlds", [page.Table(*world_rows(found), caption=WORLDS_SAID, left=len(found) + 1), page.Folded("What the worlds are", [page.Items(said)])]),
+        page.Section(
+            "Worlds",
+            [page.Table(*world_rows(found), caption=WORLDS_SAID, left=len(found) + 1), page.Folded("What the worlds are", [page.Items(said)])],
+        ),
         page.Section(
             f"What would have been found with {100 * POWER:.0f} %",
             [page.Table(*power_rows(found), caption="By how much sigma has to be too small (-) or too large (+).", left=2, wrap=True)],
