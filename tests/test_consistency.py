@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from insemu.errors import InputError
 from insemu.evaluate import consistency as c
@@ -195,3 +196,31 @@ def test_observability_tells_what_the_fixes_taught():
     np.testing.assert_array_equal(share[0], 0)
     with pytest.raises(InputError, match="shape"):
         c.observability(with_fixes.sigma, without.sigma[:3])
+
+
+def test_bounds_are_quantiles_of_a_family():
+    """Each test of a family of m has the m-th part of one in a hundred, half of it on each side (scipy.stats)."""
+    m, runs, dof = 12, 60, 9
+    chi_square = stats.chi2.ppf([0.005 / m, 1.0 - 0.005 / m], runs * dof) / (runs * dof)
+    for v in c.nees_verdicts(np.full(m, 9.0), runs, dof):
+        assert (v.low, v.high) == pytest.approx(chi_square, rel=1e-9)
+    nis = c.nis_verdict(500.0, 500)
+    assert (nis.low, nis.high) == pytest.approx(stats.chi2.ppf([0.005, 0.995], 500) / 500, rel=1e-9)
+    counts = [400, 300, 200, 100]
+    for v, n in zip(c.whiteness_verdicts(np.zeros(4), counts), counts, strict=True):
+        assert (-v.low, v.high) == pytest.approx(stats.norm.isf([0.005 / 4] * 2) / np.sqrt(n), rel=1e-9)
+    e = np.random.default_rng(7).standard_normal((200, 40, 3))
+    for v in c.coverage_test(e, np.ones_like(e), names=("a", "b", "c"), factor=2.0):
+        inside = stats.binom(v.count, stats.chi2.cdf(4.0, 1))
+        assert (v.low, v.high) == pytest.approx(inside.ppf([0.005 / 3, 1.0 - 0.005 / 3]) / v.count, rel=1e-9)
+        assert v.count > 4000  # the epochs do not depend on each other
+
+
+def test_groups_of_states_share_the_confidence_of_a_report(draws):
+    """Position, velocity and attitude at twelve epochs: 36 tests of NEES."""
+    report = c.consistency_report(*draws, [fixes_of(np.random.default_rng(1).standard_normal((50, 6)))], at=range(12))
+    found = [v for v in report if v.test == "NEES/dof"]
+    assert len(found) == 36
+    expected = stats.chi2.ppf([0.005 / 36, 1.0 - 0.005 / 36], 3 * SHAPE[0]) / (3 * SHAPE[0])
+    for v in found:
+        assert (v.low, v.high) == pytest.approx(expected, rel=1e-9)
