@@ -6,10 +6,10 @@ the folder that ``INSEMU_MUTANTS`` names). Without that, the test files that nam
 comparison, a condition turned round, a number moved, ``and`` for ``or``, ``min`` for ``max``, a statement left out, a returned number doubled) and
 gives each the tests that run its line, the quickest first, until one fails that passes on the code as it is. What no trace sees (compiled code, what
 is outside of functions or in their heads, other processes) is given the quick tests of its room (uncompiled, where its file has kernels), then all
-tests of the room that are not slow and those of the rooms that use it (neither with ``--quick``). The share that survived is printed with its interval. ``--direct 40`` traces nothing: the test files that name the module
-run for so many processor seconds, which is cheap and finds fewer.
-``--room noise`` draws from one room, ``--only FILE:LINE`` takes the mutants of a line. A mutant that was read and found to change nothing that anyone
-can see stands with its reason in ``tests/mutants.yaml`` and counts as equivalent.
+tests of the room that are not slow and those of the rooms that use it (neither with ``--quick``). Printed is the share that survived, with its
+interval, room by room.
+``--room noise`` draws from one room, ``--only FILE:LINE`` takes the mutants of a line, ``--only FILE`` a sample of those of a file. A mutant that was
+read and found to change nothing that anyone can see stands with its reason in ``tests/mutants.yaml`` and counts as equivalent.
 
 The usual tools run each mutant in a new interpreter, which here costs more than the tests: the libraries are loaded once, and each mutant is a
 fork of that.
@@ -503,12 +503,10 @@ class Bench:
     folder : Path
         Empty.
     covering : Covering
-    direct : float
-        Processor seconds for the test files that name a mutant's module, without a trace; zero: trace.
     """
 
-    def __init__(self, folder: Path, covering: Covering, direct: float = 0.0) -> None:
-        self.folder, self.covering, self.direct = folder, covering, direct
+    def __init__(self, folder: Path, covering: Covering) -> None:
+        self.folder, self.covering = folder, covering
         for name in ("insemu", "tests", "docs", "scenarios", "results"):
             if (ROOT / name).exists():
                 shutil.copytree(
@@ -563,13 +561,12 @@ class Bench:
     def _failing(self, mutant: Mutant, whole: bool) -> str | None:
         """The test that fails; empty where the change keeps tests from running or ending, ``None`` where all pass."""
         target = self.folder / mutant.file
-        if not self.direct:
-            self.covering.reach(mutant)
-        covering = files_of(mutant)[:FILES] if self.direct else self.covering.tests(mutant)
+        self.covering.reach(mutant)
+        covering = self.covering.tests(mutant)
         kernels = "njit" in target.read_text(encoding="utf-8")
         names, usual = self.tests(mutant, kernels) if covering is None else ([], 0.0)
         if covering is not None:
-            looks = [(covering, self.direct or FURTHER, False)]
+            looks = [(covering, FURTHER, False)]
         else:
             above = [f"tests/test_{name}.py" for name in ROOMS.get(mutant.room, ([], [], []))[2]]
             looks = [(names, max(MOST, LONGER * usual), kernels)]
@@ -580,10 +577,8 @@ class Bench:
                 (self.folder / FAILED).unlink(missing_ok=True)
                 out = [f"--deselect={name}" for name in self.unsound]
                 code, _ = _forked(self.folder, ["-x", *out, *tests], None, seconds, self.interpreted)
-                named = self.folder / FAILED
-                if code == -1 and self.direct and not named.exists():
-                    continue  # the time was too short for a test to see it
                 if code not in (0, 5):  # 5: none was left to run
+                    named = self.folder / FAILED
                     return named.read_text(encoding="utf-8") if named.exists() else ""
             return None
         finally:
@@ -613,14 +608,7 @@ def main() -> int:
     parser.add_argument("--no-kernels", action="store_true", help="draw none of files with compiled code")
     parser.add_argument("--files", type=int, default=FILES, help="test files that are traced for a mutant's file")
     parser.add_argument("--trace", type=float, default=TRACED, help="processor seconds of the trace of one test file")
-    parser.add_argument(
-        "--direct",
-        type=float,
-        default=0.0,
-        metavar="SECONDS",
-        help="run the test files that name a module, without a trace",
-    )
-    parser.add_argument("--only", metavar="FILE:LINE")
+    parser.add_argument("--only", metavar="FILE:LINE", help="all mutants of a line, or a sample of those of a file")
     parser.add_argument("--minutes", type=float, default=1e6, help="begin no mutant after this time")
     parser.add_argument("--quick", action="store_true", help="do not give survivors the tests that are not quick")
     parser.add_argument("--cover", action="store_true", help="note which tests run which line, and end")
@@ -645,14 +633,17 @@ def main() -> int:
     assert all((hypothesis, numba, pandas, pydantic, pytest, pywt, scipy.optimize, scipy.signal, xarray))
     every = [m for room in given.room or rooms() for m in mutants(room, not given.no_kernels)]
     if given.only:
-        chosen = [m for m in every if f"{m.file}:{m.line}" == given.only]
+        file, _, line = given.only.partition(":")
+        every = [m for m in every if m.file == file and line in ("", str(m.line))]
+    if given.only and ":" in given.only:
+        chosen = every
     else:
         chosen = random.Random(given.seed).sample(every, min(given.sample, len(every)))
     end = time.monotonic() + 60.0 * given.minutes
     reasons = equivalent()
     survived, apart = list[Mutant](), list[Mutant]()
     with tempfile.TemporaryDirectory() as folder:
-        bench = Bench(Path(folder), Covering(given.files, given.trace), given.direct)
+        bench = Bench(Path(folder), Covering(given.files, given.trace))
         for k, mutant in enumerate(chosen):
             if time.monotonic() > end:
                 chosen = chosen[:k]  # the first of a random order are a random sample, too

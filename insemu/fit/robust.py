@@ -293,7 +293,7 @@ def cleaned_curve(series: Series, model: NoiseModel, efficiency: float = EFFICIE
         if np.abs(moved).max() < STAYS * math.sqrt(2.0 / efficiency / y.size):
             break
         given = found
-        # towards where the last rounds lead (Anderson 1965, of the last two)
+        # towards where the last rounds lead (Anderson 1965)
         if before is not None:
             bend = moved - before[1]
             given = found - np.clip(moved @ bend / (bend @ bend), -FARTHEST, 0.0) * (found - before[0])
@@ -320,7 +320,7 @@ def _change(
     """What the treatment takes from the curve of a signal drawn from the model, octave by octave, and the variance of the first.
 
     Most of the scatter of such a draw is that of the mean square which the limit takes from its residuals. Its expectation is known, so that it
-    serves as a control variate (Ripley 1987, section 5.3), with its slope from pieces of the signal.
+    serves as a control variate (Ripley 1987), with its slope from pieces of the signal.
     """
     size, chance = _chances(shares)
     kept = _kept_square(core * size, limit)
