@@ -224,3 +224,17 @@ def test_groups_of_states_share_the_confidence_of_a_report(draws):
     expected = stats.chi2.ppf([0.005 / 36, 1.0 - 0.005 / 36], 3 * SHAPE[0]) / (3 * SHAPE[0])
     for v in found:
         assert (v.low, v.high) == pytest.approx(expected, rel=1e-9)
+
+
+def test_fully_correlated_states_count_as_what_moves_them():
+    """Three states of two sources, of unequal size: the sum of squares of the sources over two; independent states in other epochs over three."""
+    rng = np.random.default_rng(12)
+    mixed = np.array([[1.0, 0.0], [0.4, 2.0], [-0.7, 1.5]])
+    z = rng.standard_normal((6, 3))
+    full = np.column_stack([mixed, [0.0, 0.5, 3.0]])
+    apart = np.array([True, False, False, True, False, False])
+    e = np.where(apart[:, None], z @ full.T, z[:, :2] @ mixed.T)
+    P = np.where(apart[:, None, None], full @ full.T, mixed @ mixed.T)
+    expected = np.where(apart, (z**2).sum(axis=1) / 3.0, (z[:, :2] ** 2).sum(axis=1) / 2.0)
+    assert c.nees_per_dof(e, P) == pytest.approx(expected, rel=1e-6)
+    assert c.nees_per_dof(e[1:3], P[1:3]) == pytest.approx(expected[1:3], rel=1e-6)
