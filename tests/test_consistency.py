@@ -1,13 +1,16 @@
 """Consistency tests against draws whose answer is known, each with a negative twin."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy import stats
 
+from insemu.augment import Extras, augment
 from insemu.errors import InputError
 from insemu.evaluate import consistency as c
 from insemu.filters import FilterOptions, FixTable, LooselyCoupledEKF, run_filter
-from insemu.noise import GM, WN
+from insemu.noise import GM, RC, WN
 from tests import filter_cases as cases
 from tests.budget import binomial, binomial_power, statistical
 
@@ -238,3 +241,35 @@ def test_fully_correlated_states_count_as_what_moves_them():
     expected = np.where(apart, (z**2).sum(axis=1) / 3.0, (z[:, :2] ** 2).sum(axis=1) / 2.0)
     assert c.nees_per_dof(e, P) == pytest.approx(expected, rel=1e-6)
     assert c.nees_per_dof(e[1:3], P[1:3]) == pytest.approx(expected[1:3], rel=1e-6)
+
+
+def test_errors_of_the_axes_are_sums_of_states_and_blocks_their_squares():
+    """A bias on each axis and a scale factor of the gyroscopes, which counts at the measured rate: written out axis by axis."""
+    a = augment({"gyro": RC(sigma=0.1), "accel": RC(sigma=1.0)}, 0.01, Extras(gyro_scale=1e-3))
+    names, rng = a.layout.names[9:], np.random.default_rng(13)
+    m, rows = len(names), np.array([0, 2])
+    estimate, true, rates, axes = (rng.standard_normal((3, n)) for n in (m, m, 6, 6))
+    root = rng.standard_normal((2, 9 + m, 9 + m))
+    P = root @ root.transpose(0, 2, 1)
+    result = SimpleNamespace(imu_states=estimate)
+    given = (result, a, rows, P, rates[rows], axes[rows], true[rows])
+    found = c.sensor_errors(*given, names)
+    C = np.zeros((2, 6, m))
+    for i, axis in enumerate(f"{triad}_{letter}" for triad in ("gyro", "accel") for letter in "xyz"):
+        C[:, i, names.index(f"{axis}.RC1")] = 1.0
+        if i < 3:
+            C[:, i, names.index(f"{axis}.scale")] = rates[rows, i]
+    expected = np.array([C[k] @ estimate[row] - axes[row] for k, row in enumerate(rows)])
+    np.testing.assert_allclose(found.axes, expected, rtol=1e-12)
+    spread = np.array([C[k] @ P[k, 9:, 9:] @ C[k].T for k in range(2)])
+    np.testing.assert_allclose(found.axes_covariance, spread, rtol=1e-9)
+    np.testing.assert_allclose(found.states, (estimate - true)[rows])
+    assert np.isnan(c.sensor_errors(*given, names[::-1]).states).all()
+    errors = rng.standard_normal((2, 9))
+    blocks = c.block_nees(errors, P, found)
+    for k in range(2):
+        parts = [(errors[k, s], P[k][s, s]) for s in (slice(0, 3), slice(3, 6), slice(6, 9))]
+        parts += [(expected[k, s], spread[k][s, s]) for s in (slice(0, 3), slice(3, 6))]
+        parts += [((estimate - true)[rows[k]], P[k, 9:, 9:])]
+        assert blocks[:, k] == pytest.approx([e @ np.linalg.inv(S) @ e / e.size for e, S in parts], rel=1e-6)
+    assert np.isnan(c.block_nees(errors, P)[3:]).all()

@@ -197,9 +197,7 @@ def test_a_start_is_carried_from_the_time_that_it_is_known_at():
     known = InitialState(100.0, place, velocity, np.zeros(3), np.full(9, 0.1))
     found = at_state(imu, known)
     assert found.t == pytest.approx(100.0 + late)
-    np.testing.assert_allclose(
-        earth.position_difference(found.state.llh, place), velocity * late, atol=1e-5
-    )
+    np.testing.assert_allclose(earth.position_difference(found.state.llh, place), velocity * late, atol=1e-5)
     track = Track(0, velocity, slope, np.full(3, 0.1), 0.1)
     gnss = GnssRecord(np.array([100.0]), place[None], velocity[None], sd, sd)
     rest, state, _ = on_track(imu, gnss, track, np.zeros(3))

@@ -345,7 +345,9 @@ def test_the_correction_of_a_robust_curve_is_that_of_white_noise(share):
     # those that are seen suggest as many for each unit of size among smaller ones
     width = 2.5 * (1.25**2.5 - 1.25**-0.5)
     small = share / width * 2.5
-    inside = {a: float(np.sum(z * z * stats.norm.pdf(z - a)) * (z[1] - z[0])) for a in (0.0, size, *np.linspace(0.0, 2.5, 41))}
+    inside = {
+        a: float(np.sum(z * z * stats.norm.pdf(z - a)) * (z[1] - z[0])) for a in (0.0, size, *np.linspace(0.0, 2.5, 41))
+    }
     mean_of_small = np.mean(list(inside.values())[2:])
     chance = np.array([1.0 - share - small, share, small])
     expected = 0.5 * 2.0 * (1.0 - chance @ [inside[0.0], inside[size], mean_of_small])

@@ -194,7 +194,9 @@ def test_scales_of_the_command_are_seconds_of_the_curve(tmp_path):
         weight, unit = ((high - low) ** -2)[use], 1.0 / curve.tau_s[use]
         level = np.sqrt((weight * unit) @ curve.value[use] / (weight @ unit**2))
         (found,) = json.loads(ran.stdout)["axes"][series.name]["parameters"]
-        assert units.parse(f"{found['value']} {found['unit']}", f"{series.unit}/sqrt(Hz)") == pytest.approx(level, rel=1e-6)
+        assert units.parse(f"{found['value']} {found['unit']}", f"{series.unit}/sqrt(Hz)") == pytest.approx(
+            level, rel=1e-6
+        )
 
 
 def test_denoising_says_its_rule_and_differs_by_axis(tmp_path):

@@ -237,7 +237,7 @@ def test_factors_and_intervals_are_those_of_their_logarithms() -> None:
 def test_a_belief_is_judged_by_what_it_gains_and_what_its_ellipsoid_holds() -> None:
     """Four outages: mean and standard error of what is gained, root mean square, and the share inside 95 % of three degrees of freedom (7.81)."""
     static = np.array([[-4.0, 9.0, 3.0], [-5.0, 1.0, 4.0], [-3.0, 8.0, 12.0], [-6.0, 7.0, 0.0]])
-    own = static + [[1.0, -1.5, 0.0], [2.0, 0.0, 0.0], [3.0, 0.0, 1.0], [4.0, 0.0, 0.0]]
+    own = static + np.array([[1.0, -1.5, 0.0], [2.0, 0.0, 0.0], [3.0, 0.0, 1.0], [4.0, 0.0, 0.0]])
     got = judged._judged("transferred", own, static)
     assert got.score == pytest.approx(own[:, 0].mean()) and got.outages == 4
     assert got.gain == pytest.approx((2.5, np.sqrt(5.0 / 3.0) / 2.0))
