@@ -216,7 +216,7 @@ def njit(*, cache: bool = False, **options: Any) -> Callable[[_F], _F]:
 
     def decorated(function: _F) -> _F:
         kernel: Any = numba.njit(**options)(function)
-        if cache:
+        if cache and hasattr(kernel, "compile"):  # with NUMBA_DISABLE_JIT it is the function itself
             kept_here, compile_ = _Kept(function), kernel.compile
 
             def compiled(sig: Any) -> Any:

@@ -136,12 +136,12 @@ _POWER = re.compile(r"^(.*\S)\s*\^\s*([1-9])$")
 _LAG = re.compile(r"^lag\((.*),([^,]*)\)$")
 
 
-def parts_of(text: str) -> list[str]:
-    """Parts of a text between commas that stand in no brackets; empty ones are left out."""
+def parts_of(text: str, between: str = ",") -> list[str]:
+    """Parts of a text between commas (or another sign) that stand in no brackets; empty ones are left out."""
     depth, parts = 0, [""]
     for letter in text:
         depth += (letter == "(") - (letter == ")")
-        if letter == "," and depth == 0:
+        if letter == between and depth == 0:
             parts.append("")
         else:
             parts[-1] += letter
@@ -151,7 +151,9 @@ def parts_of(text: str) -> list[str]:
 def regressors_of(text: str, there: Mapping[str, Array], n: int, dt: float, where: str) -> dict[str, Array]:
     """Regressors that are written as ``temperature, temperature^2, lag(temperature, 300 s), time``.
 
-    A lag is a first-order one: what is behind a thermal resistance. Powers are of the deviation from the mean.
+    A lag is a first-order one: what is behind a thermal resistance. Powers are of the deviation from the mean. A product ``table_rate*temperature``
+    is the first factor times the deviations of the others: what a scale factor changes by per kelvin on a rate table (Nikolic et al. 2016,
+    section IV-D), the coefficient of ``table_rate`` being the scale factor at the mean temperature.
 
     Parameters
     ----------
@@ -177,6 +179,9 @@ def regressors_of(text: str, there: Mapping[str, Array], n: int, dt: float, wher
     columns = {**there, "time": dt * np.arange(n)}
 
     def column(term: str) -> Array:
+        first, *others = parts_of(term, "*")
+        if others:
+            return np.asarray(column(first) * np.prod([c - c.mean() for c in map(column, others)], axis=0))
         if found := _LAG.match(term):
             time = units.parse(found[2], "s")
             if time <= 0.0:

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from insemu.array import EQUAL, METRES, Flight, by_unit, gathered, quadratic
 from insemu.array.session import _summed
-from insemu.array.weights import inverse_variance, regressed, scale_wise, wavelet_matrices
+from insemu.array.weights import equal, inverse_variance, regressed, scale_wise, wavelet_matrices
 from insemu.cli import app
 from insemu.errors import InputError
 from insemu.evaluate import Experiment, analyse_designs
@@ -178,3 +178,41 @@ def test_wrong_options_are_said(tmp_path: Path, extra: list[str], message: str) 
     assert result.exit_code != 0
     assert isinstance(result.exception, InputError)
     assert message in str(result.exception)
+
+
+def test_weights_are_those_of_their_formulas() -> None:
+    rng = np.random.default_rng(6)
+    signals = [Series(s * rng.standard_normal(512), 10.0, "rad/s", "gyro_x") for s in (1.0, 0.5, 2.0)]
+    assert equal(3) == pytest.approx([1 / 3] * 3)
+    precision = np.array([1.0 / np.mean((s.values - s.values.mean()) ** 2) for s in signals])
+    assert inverse_variance(signals) == pytest.approx(precision / precision.sum())
+    # variances 1, 4 and 9 at one scale and 3, 2, 1 at another, without correlation: one over their means
+    matrices = np.array([np.diag([1.0, 4.0, 9.0]), np.diag([3.0, 2.0, 1.0])])
+    assert scale_wise(matrices) == pytest.approx(np.array([1 / 2, 1 / 3, 1 / 5]) / (1 / 2 + 1 / 3 + 1 / 5))
+
+
+def test_units_are_drawn_to_the_mean_by_what_they_may_differ() -> None:
+    """The posterior of a normal hierarchy by quadrature over mean and spread, written out for two units and two groups."""
+    groups = [(np.array([0.0, 0.6, 0.2]), np.array([0.04, 0.01, 0.09])), (np.array([1.0, 1.3]), np.array([0.02, 0.02]))]
+    tau, mu = np.linspace(0.0, np.log(10.0), 1201), np.linspace(-15.0, 15.0, 6001)
+    likelihood, moments = np.ones(tau.size), []
+    for y, v in groups:
+        rows = []
+        for t in tau:
+            density = np.exp(-0.5 * np.sum((y[:, None] - mu) ** 2 / (v[:, None] + t**2), axis=0)) / np.sqrt(
+                np.prod(v + t**2)
+            )
+            # given mean and spread, a unit is normal around what its estimate and the mean make of it
+            centre = (y[:, None] * t**2 + mu * v[:, None]) / (v[:, None] + t**2)
+            within = v * t**2 / (v + t**2)
+            rows.append(
+                [density.sum(), *(centre @ density), *(centre**2 @ density + within * density.sum())]
+            )  # spread of mu is common to all
+        table = np.array(rows)
+        likelihood *= table[:, 0]
+        moments.append(table[:, 1:] / table[:, :1])
+    weight = likelihood / likelihood.sum()
+    for (mean, variance), of, (y, _) in zip(regressed(groups), moments, groups, strict=True):
+        first, second = np.split(weight @ of, [y.size])
+        assert mean == pytest.approx(first, abs=3e-3)
+        assert variance == pytest.approx(second - first**2, rel=0.03)

@@ -1,12 +1,16 @@
 """Consistency tests against draws whose answer is known, each with a negative twin."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from scipy import stats
 
+from insemu.augment import Extras, augment
 from insemu.errors import InputError
 from insemu.evaluate import consistency as c
 from insemu.filters import FilterOptions, FixTable, LooselyCoupledEKF, run_filter
-from insemu.noise import GM, WN
+from insemu.noise import GM, RC, WN
 from tests import filter_cases as cases
 from tests.budget import binomial, binomial_power, statistical
 
@@ -195,3 +199,77 @@ def test_observability_tells_what_the_fixes_taught():
     np.testing.assert_array_equal(share[0], 0)
     with pytest.raises(InputError, match="shape"):
         c.observability(with_fixes.sigma, without.sigma[:3])
+
+
+def test_bounds_are_quantiles_of_a_family():
+    """Each test of a family of m has the m-th part of one in a hundred, half of it on each side (scipy.stats)."""
+    m, runs, dof = 12, 60, 9
+    chi_square = stats.chi2.ppf([0.005 / m, 1.0 - 0.005 / m], runs * dof) / (runs * dof)
+    for v in c.nees_verdicts(np.full(m, 9.0), runs, dof):
+        assert (v.low, v.high) == pytest.approx(chi_square, rel=1e-9)
+    nis = c.nis_verdict(500.0, 500)
+    assert (nis.low, nis.high) == pytest.approx(stats.chi2.ppf([0.005, 0.995], 500) / 500, rel=1e-9)
+    counts = [400, 300, 200, 100]
+    for v, n in zip(c.whiteness_verdicts(np.zeros(4), counts), counts, strict=True):
+        assert (-v.low, v.high) == pytest.approx(stats.norm.isf([0.005 / 4] * 2) / np.sqrt(n), rel=1e-9)
+    e = np.random.default_rng(7).standard_normal((200, 40, 3))
+    for v in c.coverage_test(e, np.ones_like(e), names=("a", "b", "c"), factor=2.0):
+        inside = stats.binom(v.count, stats.chi2.cdf(4.0, 1))
+        assert (v.low, v.high) == pytest.approx(inside.ppf([0.005 / 3, 1.0 - 0.005 / 3]) / v.count, rel=1e-9)
+        assert v.count > 4000  # the epochs do not depend on each other
+
+
+def test_groups_of_states_share_the_confidence_of_a_report(draws):
+    """Position, velocity and attitude at twelve epochs: 36 tests of NEES."""
+    report = c.consistency_report(*draws, [fixes_of(np.random.default_rng(1).standard_normal((50, 6)))], at=range(12))
+    found = [v for v in report if v.test == "NEES/dof"]
+    assert len(found) == 36
+    expected = stats.chi2.ppf([0.005 / 36, 1.0 - 0.005 / 36], 3 * SHAPE[0]) / (3 * SHAPE[0])
+    for v in found:
+        assert (v.low, v.high) == pytest.approx(expected, rel=1e-9)
+
+
+def test_fully_correlated_states_count_as_what_moves_them():
+    """Three states of two sources, of unequal size: the sum of squares of the sources over two; independent states in other epochs over three."""
+    rng = np.random.default_rng(12)
+    mixed = np.array([[1.0, 0.0], [0.4, 2.0], [-0.7, 1.5]])
+    z = rng.standard_normal((6, 3))
+    full = np.column_stack([mixed, [0.0, 0.5, 3.0]])
+    apart = np.array([True, False, False, True, False, False])
+    e = np.where(apart[:, None], z @ full.T, z[:, :2] @ mixed.T)
+    P = np.where(apart[:, None, None], full @ full.T, mixed @ mixed.T)
+    expected = np.where(apart, (z**2).sum(axis=1) / 3.0, (z[:, :2] ** 2).sum(axis=1) / 2.0)
+    assert c.nees_per_dof(e, P) == pytest.approx(expected, rel=1e-6)
+    assert c.nees_per_dof(e[1:3], P[1:3]) == pytest.approx(expected[1:3], rel=1e-6)
+
+
+def test_errors_of_the_axes_are_sums_of_states_and_blocks_their_squares():
+    """A bias on each axis and a scale factor of the gyroscopes, which counts at the measured rate: written out axis by axis."""
+    a = augment({"gyro": RC(sigma=0.1), "accel": RC(sigma=1.0)}, 0.01, Extras(gyro_scale=1e-3))
+    names, rng = a.layout.names[9:], np.random.default_rng(13)
+    m, rows = len(names), np.array([0, 2])
+    estimate, true, rates, axes = (rng.standard_normal((3, n)) for n in (m, m, 6, 6))
+    root = rng.standard_normal((2, 9 + m, 9 + m))
+    P = root @ root.transpose(0, 2, 1)
+    result = SimpleNamespace(imu_states=estimate)
+    given = (result, a, rows, P, rates[rows], axes[rows], true[rows])
+    found = c.sensor_errors(*given, names)
+    C = np.zeros((2, 6, m))
+    for i, axis in enumerate(f"{triad}_{letter}" for triad in ("gyro", "accel") for letter in "xyz"):
+        C[:, i, names.index(f"{axis}.RC1")] = 1.0
+        if i < 3:
+            C[:, i, names.index(f"{axis}.scale")] = rates[rows, i]
+    expected = np.array([C[k] @ estimate[row] - axes[row] for k, row in enumerate(rows)])
+    np.testing.assert_allclose(found.axes, expected, rtol=1e-12)
+    spread = np.array([C[k] @ P[k, 9:, 9:] @ C[k].T for k in range(2)])
+    np.testing.assert_allclose(found.axes_covariance, spread, rtol=1e-9)
+    np.testing.assert_allclose(found.states, (estimate - true)[rows])
+    assert np.isnan(c.sensor_errors(*given, names[::-1]).states).all()
+    errors = rng.standard_normal((2, 9))
+    blocks = c.block_nees(errors, P, found)
+    for k in range(2):
+        parts = [(errors[k, s], P[k][s, s]) for s in (slice(0, 3), slice(3, 6), slice(6, 9))]
+        parts += [(expected[k, s], spread[k][s, s]) for s in (slice(0, 3), slice(3, 6))]
+        parts += [((estimate - true)[rows[k]], P[k, 9:, 9:])]
+        assert blocks[:, k] == pytest.approx([e @ np.linalg.inv(S) @ e / e.size for e, S in parts], rel=1e-6)
+    assert np.isnan(c.block_nees(errors, P)[3:]).all()

@@ -414,3 +414,19 @@ def test_pieces_of_a_simulated_record_are_the_same_whoever_asks_for_them():
             np.testing.assert_array_equal(found[0], expected[k][0])
             np.testing.assert_array_equal(found[1].axes, expected[k][1].axes)
             assert found[1].states is None
+
+
+def test_an_antenna_moves_against_the_earth_not_against_the_north():
+    """Level flight due east at 64 degrees and 250 m/s turns with the local frame by 8e-5 rad/s: 20 m of arm are 1.6 mm/s of velocity."""
+    t = np.arange(0.0, 4.0, 0.01)
+    speed = np.tile([0.0, 250.0, 0.0], (t.size, 1))
+    llh = np.tile([np.deg2rad(64.0), 0.2, 9000.0], (t.size, 1))
+    llh[:, 1] += 250.0 * t / ((earth.radii(llh[0, 0])[1] + 9000.0) * np.cos(llh[0, 0]))
+    rpy = np.tile([0.0, 0.0, 0.4], (t.size, 1))
+    place, vel = antenna(Trajectory(t, llh, speed, rpy), t[10:-10], (20.0, -8.0, -5.0))
+    ecef = earth.llh_to_ecef(place)
+    moved = (ecef[2:] - ecef[:-2]) / 0.02
+    C = earth.dcm_en(llh[11:-11, 0], llh[11:-11, 1])  # axes of the IMU's place
+    # positions have 1e-9 m, which the step makes 1e-7 m/s
+    np.testing.assert_allclose(np.einsum("nji,nj->ni", C, moved), vel[1:-1], atol=1e-5)
+    assert np.abs(vel - speed[0]).max() > 1e-3

@@ -211,6 +211,21 @@ def _row(every: int, nees: np.ndarray, own: np.ndarray, missed: np.ndarray) -> s
     return f"{round(1 / (DT * every)):>3}  {'  '.join(cells)}"
 
 
+def test_curvature_is_what_a_normal_latency_makes_of_a_bent_path():
+    """Position bent by an acceleration, velocity by a jerk: mean and covariance over latencies around the believed one, by quadrature."""
+    acceleration, jerk, sigma = np.array([1.5, -0.4, 0.2]), np.array([-3.0, 0.7, 2.0]), 0.05
+    late, weight = np.polynomial.hermite_e.hermegauss(6)
+    weight /= weight.sum()
+    # a fix that is later than believed lies behind: the linear part is the column of H, the rest is along the second derivative
+    beyond = 0.5 * np.outer((sigma * late) ** 2, np.concatenate([acceleration, jerk]))
+    mean = weight @ beyond
+    nu, R = mean + 1.0, np.eye(6)
+    trend = np.concatenate([acceleration, np.full(3, 7.0), jerk, np.zeros(3)])
+    measurements.add_curvature(trend, sigma**2, nu, R)
+    np.testing.assert_allclose(nu, 1.0, rtol=1e-12)
+    np.testing.assert_allclose(R - np.eye(6), np.cov(beyond.T, aweights=weight, ddof=0), rtol=1e-9, atol=1e-15)
+
+
 def test_what_a_fix_sees_keeps_its_covariance_when_the_estimates_move():
     rng = np.random.default_rng(5)
     n, lever, latency = 19, 15, 18

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy import linalg
+from scipy import linalg, stats
 
 from insemu.errors import InputError
 from insemu.fit import fit
@@ -15,7 +15,7 @@ from insemu.fit.em import StateSpace, expectation_maximization, fit_em, maximise
 from insemu.fit.gmwm import fit_curve
 from insemu.fit.indirect import bootstrap_intervals, match_curve
 from insemu.fit.likelihood import _Problem, fit_mli_pieces, integrate, sampling_pattern
-from insemu.fit.robust import rejection_limit
+from insemu.fit.robust import _change, _Prediction, rejection_limit
 from insemu.fit.selection import wic
 from insemu.noise import AR, AR1, BI, DR, GM, QN, RW, WN, NoiseModel, NotStationary
 from insemu.records import Series
@@ -303,10 +303,12 @@ def test_published_polynomials_that_are_not_stationary_do_not_enter():
 
 
 @pytest.mark.parametrize(
-    ("size", "share", "normal"), [(10.0, 0.05, True), (5.0, 0.05, False)], ids=["most of them moderate", "of one size"]
+    ("size", "share", "normal"),
+    [(10.0, 0.05, True), (5.0, 0.05, False), (5.0, 0.1, False)],
+    ids=["most of them moderate", "of one size", "every tenth"],
 )
 def test_outliers_do_not_move_a_robust_fit(size, share, normal):
-    """Every twentieth sample is an outlier: the fit of the same record without them is met, the plain fit is not."""
+    """The fit of the same record without outliers is met, the plain fit is not."""
     rng = np.random.default_rng(12)
     truth = WN(1e-2) + GM(5e-3, 0.1)
     x = truth.simulate(1 << 15, 1.0, rng)
@@ -329,6 +331,30 @@ def test_outliers_do_not_move_a_robust_fit(size, share, normal):
     assert outliers.rejected[hit].mean() > 0.75
     assert any("rejected as outliers" in w for w in robust.warnings)
     assert outliers.rejected.mean() > 2.0 * outliers.expected
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1])
+def test_the_correction_of_a_robust_curve_is_that_of_white_noise(share):
+    """White noise of 2, outliers of four standard deviations: what a limit takes from the shortest octave, by quadrature."""
+    model, limit, n = NoiseModel((WN(np.sqrt(2.0)),)), 2.37, 1 << 15
+    size = 2.5 * 1.25**2  # the third of the amplitudes
+    shares = np.zeros(17)
+    shares[[0, 3]] = 1.0 - share, share
+    change, variance = _change(_Prediction(model, 1.0, 1.0), model, shares, 1.0, limit, n, 1.0)
+    z = np.linspace(-limit, limit, 20001)
+    # those that are seen suggest as many for each unit of size among smaller ones
+    width = 2.5 * (1.25**2.5 - 1.25**-0.5)
+    small = share / width * 2.5
+    inside = {
+        a: float(np.sum(z * z * stats.norm.pdf(z - a)) * (z[1] - z[0])) for a in (0.0, size, *np.linspace(0.0, 2.5, 41))
+    }
+    mean_of_small = np.mean(list(inside.values())[2:])
+    chance = np.array([1.0 - share - small, share, small])
+    expected = 0.5 * 2.0 * (1.0 - chance @ [inside[0.0], inside[size], mean_of_small])
+    # a sample is predicted by 4096 others, so that the residual is larger by one in 8192, and so are samples that are put in
+    assert change[0] == pytest.approx(expected, abs=5.0 * np.sqrt(variance) + 2e-3 * abs(expected))
+    # drawn without its expectation it would scatter by what the limit costs in two such signals
+    assert variance < (0.7 if share else 0.2) * (1.0 / 0.6 - 1.0) * 2.0 / n / 2.0
 
 
 def test_a_clean_record_costs_the_efficiency_that_is_asked_for():

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from insemu import units
 from insemu.cli import app
 from insemu.errors import InputError
 from insemu.fit import likelihood
 from insemu.fit.covariance import model_covariance
 from insemu.fit.selection import nested, prediction_distance, rank_models, select
+from insemu.formats import read_static
 from insemu.noise import AR, GM, RW, WN, NoiseModel, load
-from insemu.variance import wavelet_variance
+from insemu.variance import chi_square_interval, eta3, wavelet_variance
 from tests.shared_data import shared
 
 GENERAL = NoiseModel.parse("2*GM() + WN() + RW()")
@@ -174,6 +176,27 @@ def test_fit_command_shows_tables(tmp_path, arguments):
     ran = CliRunner().invoke(app, ["fit", str(path), *arguments])
     assert ran.exit_code == 0, ran.output
     assert "estimate" in ran.output
+
+
+def test_scales_of_the_command_are_seconds_of_the_curve(tmp_path):
+    """From 1.28 s and to 20.48 s at 100 Hz: five scales, weighed alone. A structure of one level has its estimate in closed form."""
+    path = a_log(tmp_path, WN(0.1), n=6000)
+    ran = CliRunner().invoke(
+        app, ["fit", str(path), "--model", "WN()", "--tau-from", "1280 ms", "--tau-to", "0.3414 min", "--weighting", "intervals", "--json"]
+    )  # fmt: skip
+    assert ran.exit_code == 0, ran.output
+    for series in read_static(path):
+        curve = wavelet_variance(series.values, 100.0)
+        use = (curve.scale_samples >= 128) & (curve.scale_samples <= 2048)
+        assert use.sum() == 5
+        freedom = eta3(curve.scale_samples.astype(float), curve.n_samples)
+        low, high = chi_square_interval(curve.value, freedom, 0.95)
+        weight, unit = ((high - low) ** -2)[use], 1.0 / curve.tau_s[use]
+        level = np.sqrt((weight * unit) @ curve.value[use] / (weight @ unit**2))
+        (found,) = json.loads(ran.stdout)["axes"][series.name]["parameters"]
+        assert units.parse(f"{found['value']} {found['unit']}", f"{series.unit}/sqrt(Hz)") == pytest.approx(
+            level, rel=1e-6
+        )
 
 
 def test_denoising_says_its_rule_and_differs_by_axis(tmp_path):

@@ -4,10 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from insemu.gap.holdout import burst
-from insemu.gap.verdict import Burst, GapReport, Interval
-from insemu.report import burst_said
+from insemu.gap.candidates.mounting import Mounted
+from insemu.gap.holdout import DriveScore, burst
+from insemu.gap.session import _scored
+from insemu.gap.verdict import Burst, Finding, GapReport, Interval, Value
+from insemu.report import burst_said, is_better
 
 REPORT = GapReport(
     "named", (), (), (), Interval.positive(4.0, 0.2), Interval.positive(1.07, 0.08), Interval.normal(6.0, 0.1)
@@ -61,3 +64,35 @@ def test_the_sentence_says_how_much_of_the_index_which_fixes_are() -> None:
     assert burst_said(REPORT) == ""
     assert REPORT.to_json()["burst"] is None
     assert report.to_json()["burst"]["without"]["value"] == 0.95
+
+
+def test_intervals_hold_what_normal_errors_do_in_95_of_100() -> None:
+    z = stats.norm.isf(0.025)
+    for made in (Interval.normal(5.0, 2.0), Value.normal("drift", 5.0, 2.0, "s")):
+        assert ((made.high - 5.0) / 2.0, (5.0 - made.low) / 2.0) == pytest.approx((z, z), rel=1e-4)
+    # of a positive value the logarithm is normal, with 2 / 5 as its deviation
+    for made in (Interval.positive(5.0, 2.0), Value.positive("level", 5.0, 0.4, "s")):
+        assert np.log([made.high / 5.0, 5.0 / made.low]) == pytest.approx(0.4 * z, rel=1e-4)
+
+
+def test_the_score_counts_the_motion_across_the_vehicle_with_its_own_spread() -> None:
+    """Two hundred fixes gain 6 nats each, within 0.1; 40 pairs across the vehicle gain 80 nats within 16: variances add."""
+    nothing = Mounted(None, np.zeros(3), (), ())
+    mounted = replace(nothing, chi_square=(160.0, 80.0), dof=80, gain=(80.0, 16.0))
+    score = DriveScore(REPORT.gap_before, REPORT.gap_after, Interval.normal(6.0, 0.1), None)
+    found = _scored(REPORT, score, mounted)
+    z = stats.norm.isf(0.025)
+    assert found.held_out.value == pytest.approx(6.0 + 2.0)
+    spread = z * np.hypot(0.1, 16.0 / 40)
+    assert (found.held_out.low, found.held_out.high) == pytest.approx((8.0 - spread, 8.0 + spread), rel=1e-4)
+    assert (found.gap_before.value, found.gap_after.value) == pytest.approx((0.5 * (4.0 + 2.0), 0.5 * (1.07 + 1.0)))
+    assert found.gap_after.log_sd * found.gap_after.value == pytest.approx(0.5 * np.hypot(0.08, np.sqrt(2.0 / 80)))
+    assert _scored(REPORT, score, nothing).held_out == score.gain
+
+
+@pytest.mark.parametrize(("gain", "word"), [(0.19, "not shown"), (0.21, "yes"), (-0.19, "not shown"), (-0.21, "no")])
+def test_better_is_what_zero_is_no_part_of(gain: float, word: str) -> None:
+    """With a standard deviation of 0.1 the limit is at 0.196."""
+    finding = Finding("random_constant", "", "accel", ("x",), (), 0.99, 9.0, ())
+    report = replace(REPORT, findings=(finding,), held_out=Interval.normal(gain, 0.1))
+    assert is_better(report)[0] == word

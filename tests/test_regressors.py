@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from insemu.errors import InputError
 from insemu.fit import fit_regressed
 from insemu.fit.regressors import _Blocks, _taken
 from insemu.formats import write
-from insemu.noise import RW, WN, NoiseModel
+from insemu.noise import GM, RW, WN, NoiseModel
 from insemu.records import Series
 from tests.regressor_experiments import MODELS, TRUE, signal_of
 
@@ -116,3 +117,32 @@ def test_the_command_estimates_both(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "regressors" in result.output
     assert "temperature" in page.read_text()
+
+
+def test_a_rate_table_gives_scale_factor_and_bias_per_kelvin(tmp_path: Path) -> None:
+    """The sizes of Nikolic et al. 2016, section IV-D: 150 ppm/K of scale and 40 deg/h/K of bias while the chamber warms from 25 to 65 degC."""
+    rng, rate_hz, n = np.random.default_rng(4), 5.0, 9000
+    temperature = 25.0 + 40.0 * np.linspace(0.0, 1.0, n) ** 0.7
+    table = np.deg2rad(np.repeat(rng.choice([-180.0, -90.0, 0.0, 90.0, 180.0], n // 100), 100))
+    scale, scale_per_kelvin, bias_per_kelvin = 1.012, 150e-6, np.deg2rad(40.0 / 3600.0)
+    warm = temperature - temperature.mean()
+    noise = (WN(2e-4) + GM(5e-5, 0.02)).simulate(n, 1.0 / rate_hz, rng)
+    signal = table * (scale + scale_per_kelvin * warm) + bias_per_kelvin * warm + noise
+    log = tmp_path / "table.csv"
+    columns = (("gyro_x", "rad/s", signal), ("table", "rad/s", table), ("temperature", "", temperature))
+    write(log, [Series(v, rate_hz, unit, name) for name, unit, v in columns])
+    terms = "table, temperature, table * temperature"
+    line = ["fit-regressors", str(log), "-m", "WN() + GM()", "--regressors", terms, "--json"]
+    result = CliRunner().invoke(app, line)
+    assert result.exit_code == 0, result.output
+    (axis,) = json.loads(result.stdout)["axes"].values()
+    found = {row["name"]: row for row in axis["regressors"]}
+    for name, true, most in (
+        ("table", scale, 1e-4),
+        ("temperature", bias_per_kelvin, 0.1 * bias_per_kelvin),
+        ("table * temperature", scale_per_kelvin, 0.02 * scale_per_kelvin),
+    ):
+        row = found[name]
+        assert abs(row["value"] - true) < 5.0 * row["standard_error"] and row["standard_error"] < most, name
+    (white, *_) = axis["parameters"]
+    assert white["name"] == "N"

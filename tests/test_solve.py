@@ -135,6 +135,8 @@ def test_an_outage_is_what_a_filter_without_fixes_does(solution: Solution) -> No
     moved = float(np.hypot(*run.nav[row, 3:5])) * imu.dt
     assert np.hypot(*(away - o.error[k, 1])) < moved + 0.02 * np.hypot(*away)
     assert np.sqrt(np.diag(o.covariance[k, 1])) == pytest.approx(run.sigma[row, :2], rel=0.03)
+    scatter = drive.scattered().pos_std_ned
+    assert scatter is not None and o.fix_variance[k, 1] == pytest.approx(scatter[j, :2] ** 2)
     # the fix that ends it is far from what was predicted, so an outage is no filter with fixes
     assert o.stated(1) > 5 * float(np.hypot(*taken.run.sigma[-1, :2]))
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 from typer.testing import CliRunner
 
 from benchmarks.trial.drives import stage
@@ -222,3 +223,23 @@ def test_a_log_at_rest_is_refused(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["transfer", str(models), str(log)])
     assert isinstance(result.exception, InputError)
     assert "is a log at rest" in str(result.exception)
+
+
+def test_factors_and_intervals_are_those_of_their_logarithms() -> None:
+    """Log factors within 0.2 and 0.05: the factors' 95 % are exp(1.96 times that) on both sides."""
+    found = Estimate(("gyro white", "fixes position"), np.log([3.0, 0.5]), np.diag([0.04, 0.0025]), 0.0).factors
+    z = stats.norm.isf(0.025)
+    for factor, value, sd in zip(found, (3.0, 0.5), (0.2, 0.05), strict=True):
+        assert factor.value == pytest.approx(value)
+        assert np.log([factor.high / value, value / factor.low]) == pytest.approx(sd * z, rel=1e-4)
+
+
+def test_a_belief_is_judged_by_what_it_gains_and_what_its_ellipsoid_holds() -> None:
+    """Four outages: mean and standard error of what is gained, root mean square, and the share inside 95 % of three degrees of freedom (7.81)."""
+    static = np.array([[-4.0, 9.0, 3.0], [-5.0, 1.0, 4.0], [-3.0, 8.0, 12.0], [-6.0, 7.0, 0.0]])
+    own = static + np.array([[1.0, -1.5, 0.0], [2.0, 0.0, 0.0], [3.0, 0.0, 1.0], [4.0, 0.0, 0.0]])
+    got = judged._judged("transferred", own, static)
+    assert got.score == pytest.approx(own[:, 0].mean()) and got.outages == 4
+    assert got.gain == pytest.approx((2.5, np.sqrt(5.0 / 3.0) / 2.0))
+    assert got.inside == pytest.approx(0.75)
+    assert got.metres == pytest.approx(np.sqrt((9.0 + 16.0 + 169.0) / 4.0))

@@ -148,7 +148,7 @@ OPTIONS: dict[str, tuple[str, str]] = {
     "--segments": ("N", "Segments that the log or drive is cut into."),
     "--regressors": (
         "NAMES",
-        'What the signal follows: "temperature, lag(temperature, 300 s), time, time^2", columns.',
+        'What the signal follows: "temperature, lag(temperature, 300 s), time^2", columns, "rate * temperature".',
     ),
     "--general": ("STRUCTURE", "Everything nested in this model is tried."),
     "--candidate": ("STRUCTURE", "Rank these models instead; may be repeated."),

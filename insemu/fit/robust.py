@@ -43,13 +43,18 @@ UNKNOWN, NO_WHITE = 1e4, 1e-3
 #: Rejection ends where fewer than this share of samples change.
 UNCHANGED = 2e-4
 #: The longest signal that is drawn for the correction.
-LONGEST = 1 << 17
+LONGEST = 1 << 16
 #: Amplitudes of outliers, in standard deviations of the residual. Below the first an outlier cannot be distinguished from noise.
 AMPLITUDES = 2.5 * 1.25 ** np.arange(16)
 #: Octaves in which the correction is measured; in longer ones it is white noise and falls with the scale.
 MEASURED = 5
-#: Times that model, rejection and correction are renewed, and signals that are drawn each time.
-ROUNDS, DRAWS = 3, 2
+#: Times that model, rejection and correction are renewed at most, and signals that are drawn each time. They end where the curve of the shortest
+#: octaves stays to this share of its standard deviation.
+ROUNDS, DRAWS, STAYS = 12, 2, 0.2
+#: How far a round may be carried on in the direction of the last two, in their difference (a ratio of 0.75 from round to round).
+FARTHEST = 3.0
+#: Pieces of a drawn signal from which the slope of its control variate is read, and fewer than these give none.
+PIECES, FEWEST = 64, 16
 #: Before a model is known: samples further than this many standard deviations from the median of their nearest nine.
 FAR = 4.5
 #: How far the number of outliers too small to be seen may be from what the smallest visible ones suggest, as a share of it.
@@ -148,6 +153,7 @@ class _Prediction:
 
     def __init__(self, model: NoiseModel, dt: float, first: float) -> None:
         block = model.block(dt)
+        self.exact = block.white > 0
         # a model without white noise predicts a sample by its neighbours exactly; a thousandth of its shortest scatter stands in
         white = block.white if block.white > 0 else NO_WHITE * first
         # where the state begins is not known, so that the row adds up to one
@@ -163,6 +169,10 @@ class _Prediction:
     def _of_neighbours(self, y: Array) -> Array:
         padded = np.pad(y, NEAR // 2, mode="reflect" if y.size > NEAR // 2 else "edge")
         return np.asarray(scipy.signal.oaconvolve(padded, self.row, mode="valid"))
+
+    def residual(self, y: Array) -> Array:
+        """What the neighbours do not predict, in standard deviations."""
+        return (y - self._of_neighbours(y)) / self.deviation
 
     def filled(self, y: Array, out: Mask, begin: Array) -> Array:
         """The record with the rejected samples at their most likely values: conjugate gradients on its precision, from ``begin``."""
@@ -220,12 +230,17 @@ def _unseen(shares: Array) -> float:
     return float(shares[1:4].sum() / width * AMPLITUDES[0])
 
 
-def _drawn(shares: Array, deviation: float, n: int, rng: np.random.Generator) -> Array:
-    """Outliers of ``n`` samples, most of them zero, in standard deviations of the residual."""
+def _chances(shares: Array) -> tuple[Array, Array]:
+    """Sizes of outliers and how often each occurs: none, :data:`AMPLITUDES`, and uniformly below the first of these."""
     chance = np.concatenate([shares, [_unseen(shares)]])
     chance[0] = max(chance[0] - chance[-1], 0.0)
-    size = np.concatenate([[0.0], AMPLITUDES, [AMPLITUDES[0]]])
-    which = rng.choice(size.size, n, p=chance / chance.sum())
+    return np.concatenate([[0.0], AMPLITUDES, [AMPLITUDES[0]]]), chance / chance.sum()
+
+
+def _drawn(shares: Array, deviation: float, n: int, rng: np.random.Generator) -> Array:
+    """Outliers of ``n`` samples, most of them zero, in standard deviations of the residual."""
+    size, chance = _chances(shares)
+    which = rng.choice(size.size, n, p=chance)
     spread = np.where(which == size.size - 1, rng.random(n), 1.0)
     return np.asarray(size[which] * spread * deviation * np.sign(rng.standard_normal(n)))
 
@@ -255,22 +270,35 @@ def cleaned_curve(series: Series, model: NoiseModel, efficiency: float = EFFICIE
     out = np.abs(step) > FAR * deviation
     curve = wavelet_variance(np.where(out, np.nan, y), rate, gaps=True)
     fitted = fit_curve(curve, model).model
+    given: Array | None = None
+    before: tuple[Array, Array] | None = None
     for _ in range(ROUNDS):
         prediction = _Prediction(fitted, dt, float(curve.value[0]))
         residual, whole, out = prediction.cleaned(y, out, limit)
         shares, core = _amplitudes(residual)
         kept = wavelet_variance(whole, rate)
-        change = _change(prediction, fitted, shares, core, limit, min(y.size, LONGEST), dt)[: len(kept)]
+        change, drawn = _change(prediction, fitted, shares, core, limit, min(y.size, LONGEST), dt)
+        change = change[: len(kept)]
         scale = kept.scale_samples.astype(float)
         added = change[-1] * scale[change.size - 1] / scale
         added[: change.size] = change
         value = np.maximum(kept.value + added, LEAST * kept.value)
         ratio = value / kept.value
         unit = prediction.deviation**2
-        scatter = (1.0 / efficiency - 1.0) * 2.0 * unit**2 / y.size
+        scatter = (1.0 / efficiency - 1.0) * 2.0 * unit**2 / y.size + 4.0 * drawn
         scatter += (UNSEEN * _unseen(shares) * AMPLITUDES[0] ** 2 / 3.0 * unit) ** 2
         curve = replace(kept, value=value, low=kept.low * ratio, high=kept.high * ratio, white_scatter=scatter)
-        fitted = fit_curve(curve, model, start=fitted).model
+        found = np.log(value)
+        moved = found[:MEASURED] - given[:MEASURED] if given is not None else np.full(MEASURED, np.inf)
+        if np.abs(moved).max() < STAYS * math.sqrt(2.0 / efficiency / y.size):
+            break
+        given = found
+        # towards where the last rounds lead (Anderson 1965)
+        if before is not None:
+            bend = moved - before[1]
+            given = found - np.clip(moved @ bend / (bend @ bend), -FARTHEST, 0.0) * (found - before[0])
+        before = (found, moved) if np.isfinite(moved).all() else None
+        fitted = fit_curve(replace(curve, value=np.exp(given)), model, start=fitted).model
     seen = shares[1:]
     mean_square = float(seen @ AMPLITUDES**2 / seen.sum()) if seen.sum() > 0 else 0.0
     size = math.sqrt(mean_square) * core * prediction.deviation
@@ -278,16 +306,48 @@ def cleaned_curve(series: Series, model: NoiseModel, efficiency: float = EFFICIE
     return CleanedCurve(curve, Outliers(float(seen.sum()), out, size, expected))
 
 
+def _kept_square(a: Array, limit: float) -> Array:
+    """Mean of the squares of normal values around ``a`` that lie within the limit, the others as zeros."""
+    high, low = limit - a, -limit - a
+    density = [np.exp(-0.5 * v * v) / math.sqrt(2.0 * math.pi) for v in (low, high)]
+    inside = scipy.special.ndtr(high) - scipy.special.ndtr(low)
+    return np.asarray((1.0 + a * a) * inside - (limit + a) * density[1] - (limit - a) * density[0])
+
+
 def _change(
     prediction: _Prediction, model: NoiseModel, shares: Array, core: float, limit: float, n: int, dt: float
-) -> Array:
-    """What the treatment takes from the curve of a signal drawn from the model, octave by octave."""
-    found = []
+) -> tuple[Array, float]:
+    """What the treatment takes from the curve of a signal drawn from the model, octave by octave, and the variance of the first.
+
+    Most of the scatter of such a draw is that of the mean square which the limit takes from its residuals. Its expectation is known, so that it
+    serves as a control variate (Ripley 1987), with its slope from pieces of the signal.
+    """
+    size, chance = _chances(shares)
+    kept = _kept_square(core * size, limit)
+    kept[-1] = _kept_square(core * size[-1] * np.linspace(0.0, 1.0, 65), limit).mean()
+    found, pieces, controls = [], [], []
+    count = min(PIECES, n >> (MEASURED + 3))
     for k in range(DRAWS):
         rng = np.random.default_rng(k)  # the same numbers each time, so that the rounds converge
         clean = model.simulate(n, dt, rng)
         outliers = _drawn(shares, core, n, rng) * prediction.deviation
         _, whole, _ = prediction.cleaned(clean + outliers, outliers != 0.0, limit)
-        curves = [wavelet_variance(v, 1.0 / dt).value[:MEASURED] for v in (clean, whole)]
-        found.append(curves[0] - curves[1])
-    return np.asarray(np.mean(found, axis=0))
+        z = prediction.residual(clean)
+        seen = z + outliers / prediction.deviation
+        lost = z**2 - np.where(np.abs(seen) > limit, 0.0, seen) ** 2
+        found.append(_difference(clean, whole, dt))
+        controls.append(lost.mean())
+        for part in np.array_split(np.arange(n), max(count, 1)):
+            at = slice(part[0], part[-1] + 1)
+            pieces.append([lost[at].mean(), *_difference(clean[at], whole[at], dt)])
+    change = np.mean(found, axis=0)
+    x, *y = np.transpose(np.array(pieces) - np.mean(pieces, axis=0))
+    known = count >= FEWEST and prediction.exact
+    slope = np.array([x @ v / (x @ x) if known else 0.0 for v in y])
+    change -= slope * (np.mean(controls) - 1.0 + chance @ kept)
+    return np.asarray(change), float(np.mean((y[0] - slope[0] * x) ** 2) / x.size)
+
+
+def _difference(clean: Array, whole: Array, dt: float) -> Array:
+    curves = [wavelet_variance(v, 1.0 / dt, intervals="eta3").value[:MEASURED] for v in (clean, whole)]
+    return np.asarray(curves[0] - curves[1])
