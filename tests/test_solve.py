@@ -297,7 +297,7 @@ def test_the_verdict_is_that_of_all_outages_and_of_the_innovations(solution: Sol
 
 def test_late_velocities_are_recognised(recording: Recording) -> None:
     assert recording.gnss is not None and velocity_lag(recording.gnss) == (0.0, 1.0)
-    t = np.arange(0.0, 120.0, 0.25)
+    t = np.arange(0.0, 400.0, 0.25)
     way = np.stack([60 * np.sin(0.2 * t), 60 * np.cos(0.31 * t), 0 * t], axis=1)
     late = t - 0.125
     speed = np.stack([12 * np.cos(0.2 * late), -18.6 * np.sin(0.31 * late), 0 * t], axis=1)

@@ -298,7 +298,7 @@ def _velocities(gnss: GnssRecord, found: Agreement | None, unstated: bool) -> li
     if found.late:
         word = "late" if found.late > 0.0 else "early"
         return [
-            Line("velocity", "odd", f"the velocities come {abs(found.late):.2g} s {word} against the positions: {off}")
+            Line("velocity", "odd", f"the velocities come {abs(found.late):.2f} s {word} against the positions: {off}")
         ]
     if found.scale == 0.0:
         return [Line("velocity", "odd", "the velocities are zero while the positions move")]

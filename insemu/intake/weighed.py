@@ -42,8 +42,9 @@ OFFSET, SHIFT, SHIFT_STEP = 0.1, 0.2, 0.02
 DRIFT = 0.4
 #: Course and heading differ so much at least, m/s across.
 SLIP = 0.2
-#: Delays of one sensor from the best of which the search begins, s (`python -m benchmarks.intake lags`).
-DELAYS = (-0.5, -0.3, -0.1, 0.1, 0.3, 0.5)
+#: Delays of one sensor from the best of which the search begins, s, and the longest that a sensor has: fixes that are later, positions alone, are
+#: as well explained by a late gyroscope (`python -m benchmarks.intake lags`).
+DELAYS, LONGEST = (-0.5, -0.3, -0.1, 0.1, 0.3, 0.5), 1.0
 #: Settings of fixes whose hemisphere was lost, and what they mean.
 SIDES = {"west": "longitudes count west", "south": "latitudes count south"}
 #: Settings' name of a sensor -> its name.
@@ -354,6 +355,8 @@ class Weighing:
         for sensor, name in SENSORS.items():
             score = partial(self._delayed, sensor)
             late, found = self._climbed(score, max(DELAYS, key=lambda d: score(d).nats))
+            if abs(late) > LONGEST:
+                continue
             said = f"the {name} comes {abs(late):.2f} s {'late' if late > 0 else 'early'}"
             out.append(Named({f"{sensor}_shift": f"{-late:+.2f} s"}, said, found))
         return out
