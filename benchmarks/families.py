@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from insemu import strapdown
+from insemu.evaluate import share_interval
 from insemu.filters import FAMILIES, FilterOptions, FilterParts, FilterResult, InitialSigma
 from insemu.records import GnssRecord, ImuRecord
 from insemu.strapdown import NavState
@@ -92,17 +92,11 @@ def large(count: int) -> dict[str, dict[str, int]]:
             good = np.abs(last[:, 6:8]).max(axis=1) < LIMITS[0]
             good &= (np.abs(last[:, 8]) < LIMITS[1]) & (np.linalg.norm(last[:, :2], axis=1) < LIMITS[2])
             found[case][name] = int(good.sum())
-            low, high = interval(found[case][name], count)
+            low, high = share_interval(found[case][name], count)
             print(
                 f"{case:16s}  {name:10s}  {100 * good.mean():5.1f} %  ({100 * low:.1f} to {100 * high:.1f})", flush=True
             )
     return found
-
-
-def interval(k: int, n: int) -> tuple[float, float]:
-    """Exact interval of a share at 95 %."""
-    low, high = stats.beta.ppf([0.025, 0.975], [k, k + 1], [n - k + 1, n - k])
-    return float(np.nan_to_num(low, nan=0.0)), float(np.nan_to_num(high, nan=1.0))
 
 
 def small(count: int) -> None:
@@ -156,7 +150,7 @@ def draw(found: dict[str, dict[str, int]], count: int, path: Path) -> None:
         figure, axes = plt.subplots(1, len(found), figsize=(9.0, 3.0), sharey=True)
         for k, (panel, (case, shares)) in enumerate(zip(axes, found.items(), strict=True)):
             for row, (_, good) in enumerate(shares.items()):
-                low, high = interval(good, count)
+                low, high = share_interval(good, count)
                 panel.plot([100 * low, 100 * high], [row, row], color=COLOURS[k], lw=2)
                 panel.plot(100 * good / count, row, "o", color=COLOURS[k])
             panel.set(title=case, xlabel="converged (%)", xlim=(0, 101))

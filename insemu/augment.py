@@ -58,6 +58,12 @@ class StateLayout:
             twice = next(name for name in self.names if self.names.count(name) > 1)
             raise InputError(f"the state '{twice}' exists twice")
 
+    @classmethod
+    def of_navigation(cls) -> StateLayout:
+        """The nine navigation errors alone."""
+        groups = {name: slice(3 * k, 3 * k + 3) for k, name in enumerate(("position", "velocity", "attitude"))}
+        return cls(NAVIGATION, groups | dict.fromkeys(AXES, slice(9, 9)))
+
     @property
     def n(self) -> int:
         """Number of states."""

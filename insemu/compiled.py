@@ -66,11 +66,13 @@ _aim()
 
 
 def stamp_of(texts: Iterable[bytes]) -> str:
-    """Hash of those sources, in a fixed order, that hold kernels."""
+    """Hash of those sources, in a fixed order, that hold kernels or the tuples with names that kernels take."""
     found = hashlib.sha256()
     for text in texts:
         if re.search(
-            rb"^\s*from (?:[\w.]+ import .*\b(?:njit|cfunc|intrinsic)\b|numba\.extending import)", text, re.MULTILINE
+            rb"^\s*from (?:[\w.]+ import .*\b(?:njit|cfunc|intrinsic|NamedTuple)\b|numba\.extending import)",
+            text,
+            re.MULTILINE,
         ):
             found.update(hashlib.sha256(text).digest())
     return found.hexdigest()

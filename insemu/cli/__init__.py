@@ -28,6 +28,7 @@ COMMANDS: dict[str, str] = {
     "compare": "compare",
     "reproduce": "reproduce",
     "regress": "regress",
+    "referee": "referee",
     "designs": "designs",
     "sensor": "sensor",
     "characterise": "characterise",

@@ -10,9 +10,12 @@ from insemu.cli.options import DRAWS, argument, option
 from insemu.shown import count_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.console import Console
 
     from insemu.evaluate import Baseline, Experiment, Results
+    from insemu.require import Requirement
 
 ACTIONS = ("record", "check", "sensitivity", "trial")
 
@@ -28,6 +31,7 @@ def command(
     cluster: str = option("--cluster", "", "record and check: fly on a Dask cluster: local, or tcp://HOST:PORT."),
     false_alarm: float = option("--false-alarm", 0.01, "Probability of reporting designs that did not change."),
     trials: int = option("--trials", 50, min=1, max=DRAWS),
+    requirements: list[str] = option("--require", []),
     out: str = option("--page", "", "Write a page with what changed (check, HTML)."),
     as_json: bool = option("--json", False),
 ) -> None:
@@ -37,7 +41,6 @@ def command(
     smallest change of every believed parameter that a check finds. trial flies with other draws, and with gyro or GNSS noise believed 20 %
     wrong, and prints how often a change was reported.
     """
-    import json
     import os
     from pathlib import Path
 
@@ -47,7 +50,8 @@ def command(
     from insemu.cli.printing import flying
     from insemu.cluster import cluster as dask_cluster
     from insemu.errors import InputError, nearest
-    from insemu.evaluate import Baseline, Experiment, check, run_experiment, with_designs
+    from insemu.evaluate import Baseline, Experiment, run_experiment, with_designs
+    from insemu.require import asked
     from insemu.scenario import load
 
     if action not in ACTIONS:
@@ -55,6 +59,9 @@ def command(
     if action == "record" and not Path(baseline).resolve().parent.is_dir():
         raise InputError(f"the folder of {baseline} does not exist", where="--baseline")
     held = None if action == "record" else Baseline.read(baseline)
+    required = asked(requirements) if requirements else ()
+    if required and action != "check":
+        raise InputError(f"found with {action}, expected with check", where="--require")
     wanted = [d.strip() for d in designs.split(",") if d.strip()] or (list(held.figures) if held else [])
     console = Console(stderr=as_json)
     threads = workers or os.cpu_count() or 1
@@ -82,36 +89,66 @@ def command(
         return
     assert held is not None
     if action == "check":
-        results = fly("checking")
-        changes = check(results, held, false_alarm=false_alarm)
-        changed = [c for c in changes if c.significant]
-        if out:
-            from insemu.report import render_regression
-
-            about = {"baseline": Path(baseline).name, "recorded with digest": held.digest, "now": results.digest}
-            console.print(
-                f"Page: {render_regression(changes, false_alarm, out, source=scenario, about=about)}", soft_wrap=True
-            )
-        if as_json:
-            rows = [vars(c) | {"significant": c.significant} for c in changes]
-            typer.echo(json.dumps({"digest": results.digest, "changed": len(changed), "figures": rows}, indent=1))
-        from insemu.report import regression_answer
-
-        console.print(regression_answer(changes, false_alarm), style="bold", highlight=False)
-        for c in changed:
-            console.print(str(c), soft_wrap=True, style="red")
-        if changed:
-            raise typer.Exit(1)
-        console.print("Smallest change that would have been found (80 % power):")
-        for c in changes:
-            part = 100 * c.detectable / abs(c.before) if c.before else float("nan")
-            console.print(
-                f"  {c.design}: {c.figure} {c.before:.4g} ± {c.detectable:.2g} ({part:.2g} %)", soft_wrap=True
-            )
+        _check(console, fly("checking"), held, false_alarm, required, scenario, baseline, out, as_json)
     elif action == "sensitivity":
         _sensitivity(console, make(), held, false_alarm, threads, as_json)
     else:
         _trial(console, make, held, false_alarm, trials, threads, as_json)
+
+
+def _check(
+    console: Console,
+    results: Results,
+    held: Baseline,
+    false_alarm: float,
+    required: Sequence[Requirement],
+    scenario: str,
+    baseline: str,
+    out: str,
+    as_json: bool,
+) -> None:
+    import json
+    from pathlib import Path
+
+    from insemu.evaluate import check
+    from insemu.report import regression_answer
+    from insemu.require import guards
+
+    changes = check(results, held, false_alarm=false_alarm)
+    changed = [c for c in changes if c.significant]
+    watched = guards(results, required)
+    if out:
+        from insemu.report import integrity_sections, render_regression
+
+        about = {"baseline": Path(baseline).name, "recorded with digest": held.digest, "now": results.digest}
+        console.print(
+            f"Page: {render_regression(changes, false_alarm, out, source=scenario, about=about, more=integrity_sections(watched))}",
+            soft_wrap=True,
+        )
+    if as_json:
+        rows = [vars(c) | {"significant": c.significant} for c in changes]
+        typer.echo(
+            json.dumps(
+                {
+                    "digest": results.digest,
+                    "changed": len(changed),
+                    "figures": rows,
+                    "required": [g.to_json() for g in watched],
+                },
+                indent=1,
+            )
+        )
+    console.print(regression_answer(changes, false_alarm), style="bold", highlight=False)
+    for c in changed:
+        console.print(str(c), soft_wrap=True, style="red")
+    for g in watched:
+        console.print(str(g), soft_wrap=True, highlight=False, style=None if g.kept else "red")
+    if changed or not all(g.kept for g in watched):
+        raise typer.Exit(1)
+    console.print("Smallest change that would have been found (80 % power):")
+    for c in changes:
+        part = 100 * c.detectable / abs(c.before) if c.before else float("nan")
+        console.print(f"  {c.design}: {c.figure} {c.before:.4g} ± {c.detectable:.2g} ({part:.2g} %)", soft_wrap=True)
 
 
 def _sensitivity(

@@ -26,6 +26,7 @@ def command(
     against: str = option("--against", ""),
     trajectory_rate: str = option("--trajectory-rate", ""),
     out: str = option("--output", "", "Folder for the results; default results/solve_NAME."),
+    requirements: list[str] = option("--require", []),
     workers: int | None = option("--workers", None),
     as_json: bool = option("--json", False),
 ) -> None:
@@ -38,6 +39,7 @@ def command(
     import os
     from pathlib import Path
 
+    import numpy as np
     from rich.console import Console
 
     from insemu import units
@@ -45,12 +47,13 @@ def command(
     from insemu.cli.printing import staged
     from insemu.evaluate import only_writer
     from insemu.intake import recording_of, take
-    from insemu.report import render_solution
+    from insemu.report import integrity_sections, render_solution
+    from insemu.require import asked, recorded_guard
     from insemu.solve import candidates, compare_with, solve, summary, write
     from insemu.whole import put
 
     console, told = Console(stderr=as_json, highlight=False), Console(stderr=True)
-    arm = _lever_arm(lever_arm)
+    arm, required = _lever_arm(lever_arm), asked(requirements) if requirements else ()
     beliefs = candidates(
         [d.strip() for d in designs.split(",") if d.strip()], sensor, models, lever_arm_known=arm is not None
     )
@@ -70,20 +73,27 @@ def command(
             say=say,
         )
         compared = compare_with(solution, against, workers=threads) if against else None
+    o = solution.taken.outages
+    stated = o.covariance + o.fix_variance[..., None] * np.eye(2)  # errors are against fixes
+    watched = [recorded_guard(r, o.start, o.horizons, o.error, stated) for r in required]
     folder = Path(out) if out else Path("results") / f"solve_{Path(file).name.split('.')[0]}"
-    plain = summary(solution, compared)
+    plain = summary(solution, compared) | ({"required": [g.to_json() for g in watched]} if watched else {})
     with only_writer(folder):
         write(solution, folder)
-        page = render_solution(solution, folder, compared, Path(against).name)
+        page = render_solution(solution, folder, compared, Path(against).name, integrity_sections(watched))
         put(folder / "summary.json", json.dumps(plain, indent=1))
     if as_json:
         typer.echo(json.dumps(plain, indent=1))
-        return
-    _show(console, solution, compared, Path(against).name)
-    console.print(
-        f"\nPage: [bold]{page}[/bold] (summary.json, solution.nc, solved.npz, trajectory and models next to it)",
-        soft_wrap=True,
-    )
+    else:
+        _show(console, solution, compared, Path(against).name)
+        for g in watched:
+            console.print(str(g), soft_wrap=True, markup=False, style=None if g.kept else "red")
+        console.print(
+            f"\nPage: [bold]{page}[/bold] (summary.json, solution.nc, solved.npz, trajectory and models next to it)",
+            soft_wrap=True,
+        )
+    if not all(g.kept for g in watched):
+        raise typer.Exit(1)
 
 
 def _lever_arm(text: str) -> tuple[float, float, float] | None:

@@ -9,11 +9,26 @@ from insemu.evaluate.comparison import (
     outage_budgets,
     with_designs,
 )
-from insemu.evaluate.consistency import chi_square_bounds, lag_products, nis_test, whiteness_verdicts
+from insemu.evaluate.consistency import (
+    chi_square_bounds,
+    lag_products,
+    nees_verdicts,
+    nis_test,
+    nis_verdict,
+    smallest_found,
+    whiteness_verdicts,
+)
 from insemu.evaluate.control import Controlled, control, planimetric, previewed
 from insemu.evaluate.covariance import CovarianceAnalysis
 from insemu.evaluate.emulated import EmulatedWorld
-from insemu.evaluate.errors import COMPONENTS, bootstrap_mean, navigation_error, paired_ratio, within_outage
+from insemu.evaluate.errors import (
+    COMPONENTS,
+    bootstrap_mean,
+    navigation_error,
+    paired_ratio,
+    share_interval,
+    within_outage,
+)
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.folder import CACHE, MARKER, check_not_fewer, finish, only_writer, resolved, write, write_summary
 from insemu.evaluate.netcdf import write_netcdf
@@ -32,13 +47,13 @@ from insemu.evaluate.results import (
     summary,
     verdicts,
 )
-from insemu.evaluate.running import chosen, fly_part, run_experiment
+from insemu.evaluate.running import chosen, fly, fly_part, run_experiment
 from insemu.evaluate.shards import Shard, check_complete, note, noted
 from insemu.evaluate.standings import Standing, answer
 from insemu.evaluate.sweep import Row, Sweep, best_of, conditions, front
 from insemu.evaluate.twin import LinearTwin
 from insemu.evaluate.until import Goal, Look, looks
-from insemu.evaluate.verdict import Verdict
+from insemu.evaluate.verdict import MEAN_SQUARE, Verdict
 from insemu.evaluate.ways import ways_of_run
 from insemu.evaluate.world import World, input_files
 
@@ -46,6 +61,7 @@ __all__ = [
     "CACHE",
     "COMPONENTS",
     "MARKER",
+    "MEAN_SQUARE",
     "Alteration",
     "Baseline",
     "Change",
@@ -83,6 +99,7 @@ __all__ = [
     "effort",
     "figure_of",
     "finish",
+    "fly",
     "fly_part",
     "front",
     "input_files",
@@ -90,7 +107,9 @@ __all__ = [
     "lag_products",
     "looks",
     "navigation_error",
+    "nees_verdicts",
     "nis_test",
+    "nis_verdict",
     "note",
     "noted",
     "only_writer",
@@ -104,8 +123,10 @@ __all__ = [
     "rank_agreement",
     "resolved",
     "run_experiment",
+    "share_interval",
     "single_run_agreement",
     "smallest_detectable",
+    "smallest_found",
     "summary",
     "surroundings",
     "trial",

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from insemu.augment import Augmentation
 from insemu.errors import InputError
-from insemu.evaluate.verdict import COVERAGE, Verdict, Word, judged
+from insemu.evaluate.verdict import COVERAGE, MEAN_SQUARE, Verdict, Word, judged
 from insemu.filters import FilterResult, FixTable
 
 Array = NDArray[np.float64]
@@ -198,6 +198,24 @@ def block_nees(errors: Array, covariance: Array, sensors: SensorErrors | None = 
 def chi_square_bounds(tail: float, dof: int) -> tuple[float, float]:
     """Values of a chi-square variable with this probability below the first and above the second."""
     return 2.0 * float(scipy.special.gammaincinv(0.5 * dof, tail)), float(scipy.special.chdtri(dof, tail))
+
+
+def smallest_found(bounds: tuple[float, float], dof: int, power: float) -> tuple[float, float]:
+    """Smallest share by which standard deviations are too small, and too large, that a chi-square test finds with a probability.
+
+    Stated variances of ``c`` times the actual ones divide the statistic by ``c``, so both are exact quantiles. A value that differs by less
+    than :data:`~insemu.evaluate.verdict.MEAN_SQUARE` is not found.
+
+    Parameters
+    ----------
+    bounds : (low, high)
+        Of the statistic per degree of freedom.
+    dof : int
+    power : float
+    """
+    few, many = (x / dof for x in chi_square_bounds(1.0 - power, dof))
+    low, high = min(bounds[0], 1.0 - MEAN_SQUARE), max(bounds[1], 1.0 + MEAN_SQUARE)
+    return 1.0 - math.sqrt(few / high), (math.sqrt(many / low) - 1.0 if low > 0.0 else math.inf)
 
 
 def nees_test(

@@ -39,7 +39,16 @@ from insemu.errors import InputError
 from insemu.evaluate.consistency import nees
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.held import HELD, key_of
-from insemu.evaluate.world import OUTPUT_INTERVAL, Estimate, Scored, input_files, nearest_rows, static_logs, stream
+from insemu.evaluate.world import (
+    OUTPUT_INTERVAL,
+    Estimate,
+    Scored,
+    input_files,
+    major_axis,
+    nearest_rows,
+    static_logs,
+    stream,
+)
 from insemu.filters import AidUse, InitialSigma, NavigationFilter, Standstill, TrueMotion
 from insemu.lost import restored
 from insemu.noise import NoiseModel, Spread, load_spread
@@ -453,7 +462,7 @@ class EmulatedWorld:
         nav = run.nav[np.searchsorted(run.t, times - 1e-9)]
         estimate = Trajectory(times, nav[:, 0:3], nav[:, 3:6], rotation.rpy_from_quaternion(nav[:, 6:10]))
         error = navigation_error(estimate, truth)
-        return Scored(error, _sigma(run.covariance), nees(error, run.covariance))
+        return Scored(error, _sigma(run.covariance), nees(error, run.covariance), major_axis(run.covariance))
 
 
 def _sigma(covariance: Array) -> Array:

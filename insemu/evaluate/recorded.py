@@ -14,7 +14,7 @@ from insemu.emulate import Outage, antenna, state_at
 from insemu.errors import InputError
 from insemu.evaluate.consistency import nees
 from insemu.evaluate.errors import navigation_error
-from insemu.evaluate.world import Estimate, Scored, input_files, nearest_rows
+from insemu.evaluate.world import Estimate, Scored, input_files, major_axis, nearest_rows
 from insemu.filters import (
     Alignment,
     InitialSigma,
@@ -217,4 +217,6 @@ class RecordedWorld:
                 R = np.concatenate([R, fixes.vel_std_ned**2], axis=1)
             P[:, :used, :used] += np.eye(used) * R[:, None, :used]
         sigma = np.sqrt(np.einsum("tii->ti", P))
-        return Scored(error, sigma, nees(np.nan_to_num(error[:, :used]), P[:, :used, :used]) * 9.0 / used)
+        return Scored(
+            error, sigma, nees(np.nan_to_num(error[:, :used]), P[:, :used, :used]) * 9.0 / used, major_axis(P)
+        )

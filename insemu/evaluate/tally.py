@@ -37,6 +37,7 @@ _SCALARS = ("nis", "dof", "lag_sum", "lag_count", "rejected", "fixes", "epochs")
 RUNS: Mapping[str, tuple[tuple[str, ...], str, str]] = {
     "end_error": (("outage", "component"), "SI", "navigation error at the end of an outage, estimate minus truth"),
     "end_sigma": (("outage", "component"), "SI", "standard deviation the filter states there"),
+    "end_major": (("outage",), "m", "standard deviation of the horizontal position it states there, along the axis in which it is largest"),
     "end_nees": (("outage",), "1", "normalised squared error there, scaled to nine states"),
     "planimetric_mean_m": (("outage",), "m", "mean planimetric error during an outage"),
     "planimetric_max_m": (("outage",), "m", "largest planimetric error during an outage"),
@@ -177,6 +178,8 @@ def tally(flown: Mapping[str, NDArray[Any]], t: Array, outages: Sequence[tuple[f
         runs["stated_heading"] = sigma[..., 8].mean(axis=1)
         horizontal = np.hypot(error[..., 0], error[..., 1]) > 3.0 * np.hypot(sigma[..., 0], sigma[..., 1])
         sums |= {"sigma_square": sigma**2, "inside": _inside(error, sigma), "inside_horizontal": 1.0 - horizontal}
+    if (major := flown.get("major")) is not None:
+        runs["end_major"] = major[:, ends]
     if (nees := flown.get("nees")) is not None:
         runs["end_nees"] = nees[:, ends]
         runs["log_nees"] = np.log(np.maximum(nees, 1e-300)).mean(axis=1)

@@ -234,11 +234,18 @@ class World(Protocol):
 
 @dataclass(frozen=True)
 class Scored:
-    """Errors (n, 9), stated standard deviations (n, 9) and NEES (n,) of a run at the output epochs."""
+    """Errors (n, 9), stated standard deviations (n, 9) and NEES (n,) of a run at the output epochs; the largest horizontal deviation (n,), m."""
 
     error: Array
     sigma: Array
     nees: Array
+    major: Array
+
+
+def major_axis(covariance: Array) -> Array:
+    """Standard deviation (n,) of the horizontal position along the axis in which it is largest, of covariances (n, 9, 9)."""
+    mean, half = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1]), 0.5 * (covariance[:, 0, 0] - covariance[:, 1, 1])
+    return np.asarray(np.sqrt(np.maximum(mean + np.hypot(half, covariance[:, 0, 1]), 0.0)))
 
 
 def nearest_rows(t: Array, want: Array, every: int) -> NDArray[np.intp]:

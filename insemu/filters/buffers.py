@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,26 @@ from insemu.filters.results import FilterResult, FixTable, Nodes
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Buffers:
-    """Arrays that the compiled loop fills."""
+class Buffers(NamedTuple):
+    """Arrays that a compiled loop overwrites.
+
+    Parameters
+    ----------
+    nav, var, x : (rows, 10), (rows, n), (rows, m) arrays
+        Navigation state, variances, estimates of the augmented states.
+    nu, S, nis, dof, ok, epoch : (f, w), (f, w, w), (f,), (f,), (f,), (f,) arrays
+        Where an event is used: innovation, its covariance, normalised innovation squared, number of components, whether it was accepted, epoch.
+    K, H : (f, n, w), (f, w, n) arrays
+        Gain and measurement matrix. Where no nodes are stored only the first gain is used, as working space.
+    P : (covariances, n, n) array
+        The whole covariance at asked epochs.
+    node_at, node_nav, node_x, node_dx : (nodes,), (nodes, 10), (nodes, m), (nodes, n) arrays
+        Epoch, states after the measurements, and the errors that the measurements took off.
+    before, after, phi : (nodes, n, n) arrays
+        Covariance before and after the measurements, transition from the node before.
+    last : (n, n) array
+        Covariance at the end.
+    """
 
     nav: Array
     var: Array
@@ -78,16 +95,19 @@ class Buffers:
 
     def of_lane(self, lane: int, rows: NDArray[np.int64]) -> Buffers:
         """Those of one realization of several, with the rows of its own events."""
-        one = replace(
-            self, **{k: np.ascontiguousarray(v[..., lane]) for k, v in vars(self).items() if v.dtype.kind == "f"}
-        )
+        one = self._of(lambda v: np.ascontiguousarray(v[..., lane]))
         if rows.size == one.dof.size:
             return one
-        return replace(one, **{k: getattr(one, k)[rows] for k in ("nu", "S", "nis", "dof", "ok", "epoch")})
+        return one._replace(**{k: getattr(one, k)[rows] for k in ("nu", "S", "nis", "dof", "ok", "epoch")})
 
-    def passed(self, side_by_side: bool) -> dict[str, Any]:
-        """As compiled code takes them."""
-        return {k: lanes.lanes_of(v) if side_by_side and v.dtype.kind == "f" else v for k, v in vars(self).items()}
+    def in_lanes(self) -> Buffers:
+        """As compiled code takes them for several realizations."""
+        return self._of(lanes.lanes_of)
+
+    def _of(self, change: Callable[[Array], Array]) -> Buffers:
+        """With its numbers, not its integers, replaced by a function of them."""
+        changed: dict[str, Any] = {k: change(v) for k, v in self._asdict().items() if v.dtype.kind == "f"}
+        return self._replace(**changed)
 
     def result(
         self,

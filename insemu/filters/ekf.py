@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
@@ -21,7 +21,7 @@ from insemu.filters.events import side_by_side as beside
 from insemu.filters.families import Family
 from insemu.filters.measurements import FIX
 from insemu.filters.options import FilterOptions, InitialSigma, three_sigmas
-from insemu.filters.packed import pack
+from insemu.filters.packed import Plan, Samples, Start, pack
 from insemu.filters.results import FilterResult
 from insemu.records import AidRecord, GnssRecord, ImuRecord, Trajectory
 from insemu.strapdown import NavState
@@ -50,17 +50,11 @@ DIVERGED = "navigation diverged (the states are not finite); is the IMU record i
 SAME_RATE = 0.01
 
 
-@dataclass(frozen=True)
-class _Flight:
-    """One record as the compiled loop takes it; shapes as in :func:`insemu.filters.kernel.run`."""
+class Flight(NamedTuple):
+    """One record as the compiled loop takes it."""
 
-    t: Array
-    gyro: Array
-    accel: Array
-    powers: Array
-    nav: Array
-    x0: Array
-    P0: Array
+    samples: Samples
+    start: Start
     events: Events
 
     def times(self, fixes: bool) -> tuple[bytes, ...]:
@@ -69,7 +63,7 @@ class _Flight:
         own = np.unique(e.t[e.kind == FIX]).size < np.count_nonzero(e.kind == FIX)
         rows = slice(None) if fixes or own else e.kind != FIX
         parts = [v[rows].tobytes() for v in (e.t, e.epoch, e.kind, e.since, e.tau, e.settings)]
-        return self.t.tobytes(), *parts
+        return self.samples.t.tobytes(), *parts
 
 
 class LooselyCoupledEKF:
@@ -93,6 +87,9 @@ class LooselyCoupledEKF:
     InputError
         See :func:`~insemu.augment.augment`.
     """
+
+    #: Keyword arguments that a derived class was made with, beyond those below.
+    settings: Mapping[str, Any] = {}
 
     def __init__(
         self,
@@ -130,20 +127,24 @@ class LooselyCoupledEKF:
 
     def with_options(self, **changes: Any) -> LooselyCoupledEKF:
         """The same design with some options (fields of :class:`FilterOptions`) replaced."""
-        return self._again(self.dt, replace(self.options, **changes))
+        return self.again(self.dt, replace(self.options, **changes))
 
     def at_rate_of(self, imu: ImuRecord) -> LooselyCoupledEKF:
         """The same design discretised at the sampling interval of a record; itself where that is within :data:`SAME_RATE` of its own."""
-        return self if abs(imu.dt / self.dt - 1.0) <= SAME_RATE else self._again(imu.dt, self.options)
+        return self if abs(imu.dt / self.dt - 1.0) <= SAME_RATE else self.again(imu.dt, self.options)
 
-    def _again(self, dt: float, options: FilterOptions) -> LooselyCoupledEKF:
-        return LooselyCoupledEKF(
+    def again(
+        self, dt: float, options: FilterOptions, kind: type[LooselyCoupledEKF] | None = None
+    ) -> LooselyCoupledEKF:
+        """The same design with another sampling interval, other options, or flown by another kind of filter, without settings of its own."""
+        return (kind or type(self))(
             self._belief,
             dt,
             lever_arm=self.lever_arm,
             gravity=self.gravity,
             gnss_sigma=self.gnss_sigma,
             options=options,
+            **({} if kind else self.settings),
         )
 
     @property
@@ -256,7 +257,7 @@ class LooselyCoupledEKF:
             What went wrong with one is returned in its place; the others are not touched by it.
         """
         out: dict[int, FilterResult | InputError] = {}
-        alike: dict[tuple[Any, ...], list[tuple[int, _Flight]]] = {}
+        alike: dict[tuple[Any, ...], list[tuple[int, Flight]]] = {}
         # where every epoch moves the covariance and no node is stored, a fix of another lane changes nothing
         fixes = self.options.covariance_every > 1 or self.options.store != "none"
         for k, given in enumerate(zip(imus, gnsses, initials, strict=True)):
@@ -286,24 +287,39 @@ class LooselyCoupledEKF:
         initial_sigma: InitialSigma | ArrayLike,
         aids: Sequence[AidRecord],
         initial_states: ArrayLike | None,
-    ) -> _Flight:
+    ) -> Flight:
         """A record as the compiled loop takes it; arguments as of :meth:`run`."""
         record, nav, x0 = self.checked(imu, initial, initial_states)
         P0 = self.initial_covariance(initial_sigma, imu, nav)
         gyro, accel = self.augmentation.sensed(record)
-        powers = following.powers(self.augmentation, imu)
-        return _Flight(record.t, gyro, accel, powers, nav, x0, P0, self.events(record.t, gnss, aids))
+        samples = Samples(record.t, gyro, accel, following.powers(self.augmentation, imu))
+        return Flight(samples, Start(nav, x0, P0), self.events(record.t, gnss, aids))
 
-    def _fly(self, flights: Sequence[_Flight], *, side_by_side: bool) -> list[FilterResult | InputError]:
+    def plan(self, t: Array, events: Events) -> Plan:
+        """How a flight runs; ``t`` (n,) are the epochs, s."""
+        o, (lever_at, latency_at), at = self.options, self.installation(), self.covariance_epochs(t)
+        return Plan(
+            self._gravity, self.lever_arm, lever_at, latency_at, self.thresholds(events.z.shape[1]), o.gate_timeout, o.covariance_every,
+            o.output_every, trend_window(self.dt), steps_around(self.dt), SAME_TIME * self.dt, o.store == "fixes", at,
+            self._node_epochs(t, at, events, moving=latency_at >= 0),
+        )  # fmt: skip
+
+    def _fly(self, flights: Sequence[Flight], *, side_by_side: bool) -> list[FilterResult | InputError]:
         """Flights of the same times through the compiled loop: one as numbers, or up to :data:`~insemu.lanes.LANES` in lanes."""
         started = time.perf_counter()
-        o, a, (lever_at, latency_at) = self.options, self.augmentation, self.installation()
-        t = flights[0].t
+        t = flights[0].samples.t
         each, own_rows = beside([f.events for f in flights])
         events = each[0]
-        cov_epoch = self.covariance_epochs(t)
-        node_epoch = self._node_epochs(t, cov_epoch, events, moving=latency_at >= 0)
-        b = Buffers.of(self.layout.n, t.size, o, events, cov_epoch.size, node_epoch.size, side_by_side=side_by_side)
+        plan = self.plan(t, events)
+        b = Buffers.of(
+            self.layout.n,
+            t.size,
+            self.options,
+            events,
+            plan.cov_epoch.size,
+            plan.node_epoch.size,
+            side_by_side=side_by_side,
+        )
         status = np.zeros((2, lanes.LANES) if side_by_side else 2)
         filled = [*flights, *[flights[0]] * (lanes.LANES - len(flights))] if side_by_side else flights
 
@@ -313,24 +329,21 @@ class LooselyCoupledEKF:
         def rows(values: Iterable[Array]) -> Any:
             return tuple(values) if side_by_side else next(iter(values))
 
-        p = self._side_by_side if side_by_side else self._packed
-        d, phi, mix, q = (lanes.spread(v) if side_by_side else v for v in (p.d, p.phi, p.mix, p.q))
-        v = b.passed(side_by_side)
+        samples = Samples(t, *(rows(v) for v in list(zip(*(f.samples for f in filled), strict=True))[1:]))
+        starts = (f.start._replace(nav=np.concatenate([f.start.nav, np.zeros(3)])) for f in filled)
+        start = Start(*(stacked(v) for v in zip(*starts, strict=True)))
+        measured = events._replace(z=stacked(e.z for e in each), var=stacked(e.var for e in each))
         try:
             stored = kernel.run(
-                t, rows(f.gyro for f in filled), rows(f.accel for f in filled), stacked(np.concatenate([f.nav, np.zeros(3)]) for f in filled),
-                stacked(f.x0 for f in filled), stacked(f.P0 for f in filled), p.place, a.axis, a.c, a.driver, p.slots, p.diagonal,
-                d, phi, p.offsets, mix, p.q_at, q, p.q_law, p.time_at, p.time_law, p.time_of, rows(f.powers for f in filled),
-                following.of_speed(a), a.white_of, a.white, self._gravity, self.lever_arm, lever_at, latency_at,
-                self.thresholds(events.z.shape[1]), o.gate_timeout, o.covariance_every, o.output_every, trend_window(self.dt), steps_around(self.dt),
-                SAME_TIME * self.dt,
-                events.first_of, events.next_alike, events.t, events.epoch, events.kind, events.since, events.tau,
-                stacked(e.z for e in each), stacked(e.var for e in each), events.settings, cov_epoch, node_epoch,
-                o.store == "fixes", o.family.carry, v["nav"], v["var"], v["x"], v["nu"], v["S"], v["nis"], v["dof"], v["ok"], v["epoch"], v["K"],
-                v["H"],
-                v["P"], v["node_at"], v["node_nav"], v["node_x"], v["before"], v["after"], v["phi"], v["node_dx"], v["last"],
+                samples,
+                start,
+                self._side_by_side.in_lanes() if side_by_side else self._packed,
+                measured,
+                plan,
+                self.options.family.carry,
+                b.in_lanes() if side_by_side else b,
                 lanes.lanes_of(status) if side_by_side else status,
-            )  # fmt: skip
+            )
         except ZeroDivisionError:  # a divisor was lost against something huge
             return [InputError(DIVERGED)]
         seconds = (time.perf_counter() - started) / len(flights)
@@ -338,7 +351,9 @@ class LooselyCoupledEKF:
         for lane, flight in enumerate(flights):
             wrong = self._wrong(*(status[:, lane] if side_by_side else status).astype(int))
             own = b.of_lane(lane, own_rows[lane]) if side_by_side else b
-            out.append(wrong or own.result(self.layout, t, o, flight.events, cov_epoch, stored, seconds))
+            out.append(
+                wrong or own.result(self.layout, t, self.options, flight.events, plan.cov_epoch, stored, seconds)
+            )
         return out
 
     def _wrong(self, code: int, detail: int) -> InputError | None:

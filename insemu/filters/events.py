@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from insemu.compiled import njit
 from insemu.errors import InputError, nearest
 from insemu.filters.aid import SETTINGS
 from insemu.filters.aids import AIDS, CODES
@@ -21,12 +22,13 @@ GnssSigma = tuple[ArrayLike | None, ArrayLike | None]
 
 #: Components of a fix: position, then velocity. An aid with more rows makes every table wider.
 FIX_ROWS = 6
+#: Kinds of measurements: fixes and all aids.
+KINDS = 1 + len(AIDS)
 #: Times this share of a sampling interval apart are the same.
 SAME_TIME = 1e-6
 
 
-@dataclass(frozen=True)
-class Events:
+class Events(NamedTuple):
     """Fixes and aids in the order of the epochs at which they are used, f of them with up to w components.
 
     Parameters
@@ -63,22 +65,20 @@ class Events:
         wide = np.zeros((0, FIX_ROWS))
         return cls(nothing, none, none, none, nothing, wide, wide, np.zeros((0, SETTINGS)))
 
-    @property
-    def next_alike(self) -> Ints:
-        """(f,) The next event of the same kind, -1 after the last."""
-        out = np.full(self.t.size, -1, dtype=np.int64)
-        for kind in np.unique(self.kind):
-            rows = np.flatnonzero(self.kind == kind)
-            out[rows[:-1]] = rows[1:]
-        return out
 
-    @property
-    def first_of(self) -> Ints:
-        """(kinds,) The first event of every kind, -1 where there is none."""
-        out = np.full(1 + len(AIDS), -1, dtype=np.int64)
-        for kind in np.unique(self.kind):
-            out[kind] = int(np.argmax(self.kind == kind))
-        return out
+@njit(cache=True, nogil=True)
+def queues(kind: Ints) -> tuple[Ints, Ints]:
+    """First event of every kind (:data:`KINDS`,) and the next of the same kind (f,), -1 where there is none.
+
+    Parameters
+    ----------
+    kind : (f,) array of int
+    """
+    first, following = np.full(KINDS, -1), np.full(kind.size, -1)
+    for e in range(kind.size - 1, -1, -1):
+        following[e] = first[kind[e]]
+        first[kind[e]] = e
+    return first, following
 
 
 def joined(parts: Sequence[Events]) -> Events:
@@ -88,7 +88,7 @@ def joined(parts: Sequence[Events]) -> Events:
     def wide(values: Array) -> Array:
         return np.pad(values, ((0, 0), (0, width - values.shape[1])), constant_values=np.nan)
 
-    columns = {f.name: [getattr(p, f.name) for p in parts] for f in fields(Events)}
+    columns = {name: [getattr(p, name) for p in parts] for name in Events._fields}
     for name in ("z", "var"):
         columns[name] = [wide(v) for v in columns[name]]
     together = {name: np.concatenate(values) for name, values in columns.items()}
@@ -110,12 +110,9 @@ def side_by_side(lists: Sequence[Events]) -> tuple[list[Events], list[Ints]]:
     of_fix = [np.flatnonzero(e.kind == FIX) for e in lists]
     stamps = np.concatenate([np.stack([e.epoch[k], e.t[k]], axis=1) for e, k in zip(lists, of_fix, strict=True)])
     _, taken, place = np.unique(stamps, axis=0, return_index=True, return_inverse=True)
-    columns = {
-        f.name: np.concatenate([getattr(e, f.name)[k] for e, k in zip(lists, of_fix, strict=True)])
-        for f in fields(Events)
-    }
-    aids = Events(**{f.name: getattr(first, f.name)[first.kind != FIX] for f in fields(Events)})
-    fixes = Events(**{name: v[taken] for name, v in columns.items()})
+    aids = Events(*(v[first.kind != FIX] for v in first))
+    found = zip(*([v[k] for v in e] for e, k in zip(lists, of_fix, strict=True)), strict=True)
+    fixes = Events(*(np.concatenate(v)[taken] for v in found))
     fixes.z[:], fixes.var[:] = np.nan, np.nan
     order = np.argsort(np.concatenate([fixes.epoch, aids.epoch]), kind="stable")
     row_of = np.empty(order.size, dtype=np.int64)
@@ -127,7 +124,7 @@ def side_by_side(lists: Sequence[Events]) -> tuple[list[Events], list[Ints]]:
         at[e.kind == FIX], at[e.kind != FIX] = row_of[own], row_of[fixes.t.size :]
         z, var = np.full((2, *together.z.shape), np.nan)
         z[at], var[at] = e.z, e.var
-        out.append(replace(together, z=z, var=var))
+        out.append(together._replace(z=z, var=var))
         rows.append(at)
     return out, rows
 

@@ -21,7 +21,7 @@ Loops over columns run from 0 over views: only then does the compiler know that 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import overload
@@ -45,6 +45,34 @@ MAP_SIZE = 46
 
 #: Row length, first row of the augmented states and width of a slot: of numbers, and of lanes, whose rows need not be whole vectors.
 GRID, LANES_GRID = (LD, FIRST, 8), (U + 6 + 6 * MAX_SLOTS, U + 6, 6)
+
+
+class Transition(NamedTuple):
+    """How the augmented states move in a step; with one more axis in front of d, phi, mix and q: over 1, 2, ... steps.
+
+    Parameters
+    ----------
+    slots : int
+        Slots of augmented states.
+    diagonal : bool
+        Whether every augmented state moves by itself (``d``), or lanes mix (``phi``).
+    d, phi : (LD,), (slots, slots, 8) arrays
+        Transition.
+    offsets, mix : (k,), (k, LD) arrays
+        The same by the distance of slots; distance zero first.
+    q_at, q : (l,) arrays
+        Places in the expanded covariance and values of the driving covariance.
+    """
+
+    slots: int
+    diagonal: bool
+    d: Array
+    phi: Array
+    offsets: Ints
+    mix: Array
+    q_at: Ints
+    q: Array
+
 
 _FAST = {"contract"}  # fused multiply-add only: nothing that changes how NaN behaves
 
@@ -393,23 +421,7 @@ def _transpose(E: Array, T: Array) -> None:
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
-def predict(
-    E: Array,
-    w: Array,
-    half: float,
-    slots: int,
-    diagonal: bool,
-    d: Array,
-    phi: Array,
-    offsets: Ints,
-    mix: Array,
-    q_at: Ints,
-    q: Array,
-    c: Array,
-    white: Array,
-    T: Array,
-    work: Array,
-) -> None:
+def predict(E: Array, w: Array, half: float, step: Transition, c: Array, white: Array, T: Array, work: Array) -> None:
     """One step of the covariance, in place.
 
     Parameters
@@ -417,17 +429,9 @@ def predict(
     E : (rows * LD,) array
         Expanded covariance.
     w, half : (46,) array, float
-        Map of the step and half its duration.
-    slots : int
-        Slots of augmented states.
-    diagonal : bool
-        Whether every augmented state moves by itself (``d``), or lanes mix (``phi``).
-    d, phi : (LD,), (slots, slots, 8) arrays
-        Transition of the augmented states.
-    offsets, mix : (k,), (k, LD) arrays
-        The same by the distance of slots; distance zero first.
-    q_at, q : (k,) arrays
-        Places in ``E`` and values of the driving covariance.
+        Map of the step and half its duration, s.
+    step : Transition
+        Of the augmented states.
     c : (LD,) array
         What each axis sees of its states, at the states' places.
     white : (6,) array
@@ -436,15 +440,16 @@ def predict(
         Working space.
     """
     ld, first, _ = grid(E)
+    slots = step.slots
     end = first + columns_of(E, slots)
     if slots > 0:
-        if diagonal:
-            _scale_rows(E, d, slots)
+        if step.diagonal:
+            _scale_rows(E, step.d, slots)
         else:
-            _mix_rows(E, phi, slots, work)
-            _mix_columns(E, offsets, mix, slots, work)
-        for i in range(q.size):
-            E[q_at[i]] += q[i]
+            _mix_rows(E, step.phi, slots, work)
+            _mix_columns(E, step.offsets, step.mix, slots, work)
+        for i in range(step.q.size):
+            E[step.q_at[i]] += step.q[i]
         _axis_rows(E, c, slots, work)
     _axis_columns(E, c, slots)
     for a in range(6):
@@ -459,9 +464,7 @@ def predict(
 
 
 @njit(cache=True, nogil=True)
-def states_ahead(
-    x: Array, axis_x: Array, slots: int, diagonal: bool, d: Array, phi: Array, c: Array, work: Array
-) -> None:
+def states_ahead(x: Array, axis_x: Array, step: Transition, c: Array, work: Array) -> None:
     """Predict the estimates of the augmented states, and what the axes see of them.
 
     Parameters
@@ -470,11 +473,12 @@ def states_ahead(
         Estimates at the states' places, overwritten.
     axis_x : (6,) array
         Overwritten.
-    slots, diagonal, d, phi, c, work
+    step, c, work
         As in :func:`predict`.
     """
     _, first, wide = grid(x)
-    if diagonal:
+    slots, d, phi = step.slots, step.d, step.phi
+    if step.diagonal:
         for j in range(first, first + wide * slots):
             x[j] *= d[j]
     else:
@@ -496,17 +500,7 @@ def states_ahead(
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
-def advance_transition(
-    A: Array,
-    w: Array,
-    half: float,
-    slots: int,
-    diagonal: bool,
-    d: Array,
-    phi: Array,
-    c: Array,
-    work: Array,
-) -> None:
+def advance_transition(A: Array, w: Array, half: float, step: Transition, c: Array, work: Array) -> None:
     """Multiply the transition since the last node (same layout as ``E``) by that of one step, in place.
 
     Parameters
@@ -515,30 +509,27 @@ def advance_transition(
         Transition, overwritten.
     w, half : (46,) array, float
         Map of the step and half its duration, s.
-    slots : int
-        Slots of augmented states.
-    diagonal : bool
-        Whether every augmented state moves by itself (``d``), or lanes mix (``phi``).
-    d, phi : (LD,), (slots, slots, 8) arrays
-        Transition of the augmented states.
+    step : Transition
+        Of the augmented states.
     c : (LD,) array
         What each axis sees of its states, at the states' places.
     work : ((8 * slots + 10) * LD,) array
         Working space.
     """
     ld, first, wide = grid(A)
+    slots = step.slots
     end = first + columns_of(A, slots)
     if slots > 0:
-        if diagonal:
+        if step.diagonal:
             for s in range(slots):
                 for lane in range(6):
                     r = first + wide * s + lane
-                    x = d[r]
+                    x = step.d[r]
                     if any_of(x != 1.0):
                         for j in range(first, end):
                             A[r * ld + j] *= x
         else:
-            _mix_rows(A, phi, slots, work)
+            _mix_rows(A, step.phi, slots, work)
         _axis_rows(A, c, slots, work)
     apply_map(w, half, A, end)
 

@@ -7,6 +7,7 @@ axes of the IMU, after the nine navigation errors.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +17,18 @@ from insemu.augment import Augmentation
 from insemu.compiled import njit
 from insemu.filters.ekf import LooselyCoupledEKF
 from insemu.filters.events import Events
-from insemu.filters.expanded import FIRST, LD, MAP_SIZE, fill_map, gather, middle, predict, scatter
+from insemu.filters.expanded import FIRST, LD, MAP_SIZE, Transition, fill_map, gather, middle, predict, scatter
 from insemu.filters.measurements import fill_fix
-from insemu.filters.packed import pack
+from insemu.filters.packed import Packed, Samples, pack
 from insemu.filters.rows import Moment, Rows
 from insemu.records import GnssRecord, ImuRecord
 from insemu.strapdown import fill_dynamics
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+#: Gains of a record that follows no covariate.
+NO_POWER = np.ones((1, 0))
 
 
 def ideal_fixes(ekf: LooselyCoupledEKF, imu: ImuRecord, nav: Array, gnss: GnssRecord) -> GnssRecord | None:
@@ -100,6 +104,24 @@ def _fixes(
         fill_fix(moment, z, trend, Rows(nu[i], H[i], R[i]))
 
 
+class _Fixes(NamedTuple):
+    """Fixes of a :class:`JointSystem`."""
+
+    epoch: Ints
+    M: Array
+    R: Array
+
+
+class _Entries(NamedTuple):
+    """Transition and driving covariance of augmented states by what is not zero, places (k, 2) and values (k,), and the source of each state."""
+
+    phi_at: Ints
+    phi: Array
+    q_at: Ints
+    q: Array
+    source: Ints
+
+
 @dataclass(frozen=True)
 class JointSystem:
     """A linear error system along a reference, with fixes ``z <- M z + noise``.
@@ -143,10 +165,8 @@ class JointSystem:
         gyro, accel = s.sensed(imu)
         out = np.empty((rows.size, *P0.shape))
         order = np.argsort(rows, kind="stable")
-        _forward(
-            imu.t, self.maps, P0, p.place, p.slots, p.diagonal, p.d[0], p.phi[0], p.offsets, p.mix[0], p.q_at, p.q[0], s.c, s.driver,
-            gyro, accel, s.white, self.epoch, self.M, self.R, rows[order], out,
-        )  # fmt: skip
+        samples = Samples(imu.t, gyro, accel, NO_POWER)
+        _forward(samples, self.maps, P0, p, _Fixes(self.epoch, self.M, self.R), rows[order], out)
         out[order] = out.copy()
         return out
 
@@ -177,11 +197,20 @@ class JointSystem:
         """
         s, imu, initial = self.states, self.imu, L.copy()
         parts, axes, gained = np.zeros(sources), np.zeros(6), np.zeros(self.epoch.size)
-        gyro, accel = s.sensed(imu)
+        samples = Samples(imu.t, *s.sensed(imu), NO_POWER)
+        entries = _Entries(*_sparse(s.Phi), *_sparse(s.Q), source)
         _backward(
-            imu.t, self.maps, row, initial, *_entries(s.Phi), *_entries(s.Q), s.axis, s.c, s.driver, gyro, accel, source, s.white, self.epoch,
-            self.M, self.R, gained, parts, axes,
-        )  # fmt: skip
+            samples,
+            self.maps,
+            row,
+            initial,
+            pack(s, 1),
+            entries,
+            _Fixes(self.epoch, self.M, self.R),
+            gained,
+            parts,
+            axes,
+        )
         return initial, parts, axes, float(gained.sum())
 
 
@@ -218,31 +247,14 @@ def _maps(t: Array, gyro: Array, accel: Array, nav: Array, gravity: int, w: Arra
 
 
 @njit(cache=True, nogil=True)
-def _forward(
-    t: Array,
-    maps: Array,
-    P0: Array,
-    place: Ints,
-    slots: int,
-    diagonal: bool,
-    d: Array,
-    phi: Array,
-    offsets: Ints,
-    mix: Array,
-    q_at: Ints,
-    q: Array,
-    c0: Array,
-    driver: Ints,
-    gyro: Array,
-    accel: Array,
-    white: Array,
-    fix_epoch: Ints,
-    M: Array,
-    R: Array,
-    out_epoch: Ints,
-    out: Array,
-) -> None:
-    """Joint covariance along the reference; at a fix ``P <- M P M' + R``. ``c0`` and ``driver`` (m,) as in an augmentation."""
+def _forward(samples: Samples, maps: Array, P0: Array, p: Packed, fixes: _Fixes, out_epoch: Ints, out: Array) -> None:
+    """Joint covariance along the reference; at a fix ``P <- M P M' + R``."""
+    t, gyro, accel, _ = samples
+    place, c0, driver, slots, (fix_epoch, M, R) = p.place, p.c, p.driver, p.steps.slots, fixes
+    steps = p.steps
+    one = Transition(
+        slots, steps.diagonal, steps.d[0], steps.phi[0], steps.offsets, steps.mix[0], steps.q_at, steps.q[0]
+    )
     n = place.size
     E, T = np.zeros((FIRST + 8 * slots + 17) * LD), np.zeros(15 * LD)
     work = np.zeros((8 * slots + 10) * LD)
@@ -259,7 +271,7 @@ def _forward(
                 if driver[s] >= 0:
                     raw = gyro[k, driver[s]] if driver[s] < 3 else accel[k, driver[s] - 3]
                     c[place[9 + s]] = c0[s] * raw / (2.0 * half)
-            predict(E, maps[k], half, slots, diagonal, d, phi, offsets, mix, q_at, q, c, white, T, work)
+            predict(E, maps[k], half, one, c, p.white, T, work)
         while fix < fix_epoch.size and fix_epoch[fix] == k:
             gather(E, place, P)
             for i in range(n):
@@ -321,7 +333,7 @@ def apply_transposed(w: Array, half: float, L: Array, old: Array, u: Array) -> N
         L[i] = old[i]
 
 
-def _entries(matrix: Array) -> tuple[Ints, Array]:
+def _sparse(matrix: Array) -> tuple[Ints, Array]:
     """Places (k, 2) and values (k,) of what is not zero, row by row."""
     at = np.ascontiguousarray(np.argwhere(matrix))  # transposed otherwise, for which the loop is compiled once more
     return at, matrix[at[:, 0], at[:, 1]]
@@ -329,33 +341,17 @@ def _entries(matrix: Array) -> tuple[Ints, Array]:
 
 @njit(cache=True, nogil=True)
 def _backward(
-    t: Array,
-    maps: Array,
-    last: int,
-    L: Array,
-    phi_at: Ints,
-    phi: Array,
-    q_at: Ints,
-    q: Array,
-    axis: Ints,
-    c0: Array,
-    driver: Ints,
-    gyro: Array,
-    accel: Array,
-    source: Ints,
-    white: Array,
-    fix_epoch: Ints,
-    M: Array,
-    R: Array,
-    gained: Array,
-    parts: Array,
-    axes: Array,
-) -> None:
-    """Adjoint of the joint system from epoch ``last`` to the start; ``phi_at``, ``phi``, ``q_at``, ``q`` are those of :func:`_entries`.
+    samples: Samples, maps: Array, last: int, L: Array, p: Packed, entries: _Entries, fixes: _Fixes, gained: Array, parts: Array, axes: Array
+) -> None:  # fmt: skip
+    """Adjoint of the joint system from epoch ``last`` to the start.
 
     ``L`` (n,) holds the functional and is overwritten by what the initial errors contribute linearly. ``parts`` (sources,) collects the
     driving noise of the true states by source, ``axes`` (6,) the white noise of the axes, ``gained`` (f,) the noise of every fix.
     """
+    t, gyro, accel, _ = samples
+    axis, c0, driver, white = p.axis, p.c, p.driver, p.white
+    phi_at, phi, q_at, q, source = entries
+    fix_epoch, M, R = fixes
     n = L.size
     m = n - 9
     u, old, next_x = np.zeros(6), np.zeros(9), np.zeros(m)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insemu.compiled import njit
 from insemu.filters.aids import fill_rows
+from insemu.filters.buffers import Buffers
+from insemu.filters.events import Events, queues
 from insemu.filters.expanded import (
     MAP_SIZE,
+    Transition,
     advance_transition,
     fill_map,
     gather,
@@ -34,12 +36,12 @@ from insemu.filters.measurements import (
     take_off,
     turn,
 )
+from insemu.filters.packed import Packed, Plan, Samples, Start
 from insemu.filters.rows import Moment, Rows
 from insemu.lanes import any_of, number_at, where, zeros
 from insemu.strapdown import fill_dynamics, step
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 #: Where the latency is a state, a fix is used at most so many steps after its own time.
 LATE_STEPS = 2.5
@@ -67,78 +69,7 @@ def _failed(status: Array, detail: float, code: int) -> bool:
 
 @njit(cache=True, nogil=True)
 def run(
-    t: Array,
-    gyro: Any,
-    accel: Any,
-    nav: Array,
-    x0: Array,
-    P0: Array,
-    place: Ints,
-    axis: Ints,
-    c0: Array,
-    driver: Ints,
-    slots: int,
-    diagonal: bool,
-    d_of: Array,
-    phi_of: Array,
-    offsets: Ints,
-    mix_of: Array,
-    q_at: Ints,
-    q_of: Array,
-    q_law: Ints,
-    time_at: Ints,
-    time_law: Ints,
-    time_of: Array,
-    power: Any,
-    laws: Array,
-    white_of: Array,
-    white: Array,
-    gravity: int,
-    lever0: Array,
-    lever_at: int,
-    latency_at: int,
-    thresholds: Array,
-    timeout: float,
-    every: int,
-    output_every: int,
-    window: int,
-    around: int,
-    tolerance: float,
-    first_of: Ints,
-    event_next: Ints,
-    event_t: Array,
-    event_epoch: Ints,
-    event_kind: Ints,
-    event_from: Ints,
-    event_tau: Array,
-    event_z: Array,
-    event_var: Array,
-    event_settings: Array,
-    cov_epoch: Ints,
-    node_epoch: Ints,
-    store: bool,
-    carry: Carry,
-    out_nav: Array,
-    out_var: Array,
-    out_x: Array,
-    fix_nu: Array,
-    fix_S: Array,
-    fix_nis: Array,
-    fix_dof: Ints,
-    fix_ok: Ints,
-    fix_epoch: Ints,
-    fix_K: Array,
-    fix_H: Array,
-    out_P: Array,
-    node_at: Ints,
-    node_nav: Array,
-    node_x: Array,
-    node_before: Array,
-    node_after: Array,
-    node_phi: Array,
-    node_dx: Array,
-    P: Array,
-    status: Array,
+    samples: Samples, start: Start, model: Packed, events: Events, plan: Plan, carry: Carry, out: Buffers, status: Array
 ) -> int:
     """Fly the filter through a record; see :mod:`insemu.filters.ekf`, which prepares and names everything.
 
@@ -148,91 +79,38 @@ def run(
 
     Parameters
     ----------
-    t : (N,) array
-        Epochs, s.
-    gyro, accel : (N, 3) arrays
-        Increments over the interval that ends at the epoch, rad and m/s, body axes.
-    nav : (13,) array
-        Initial navigation state, as :func:`insemu.strapdown.step` takes it; overwritten by the last one.
-    x0, P0 : (m,), (n, n) arrays
-        Initial estimates of the augmented states, and the covariance of all; n = 9 + m.
-    place : (n,) array of int
-        Row of each state in the expanded covariance.
-    axis, c0, driver : (m,) arrays
-        As ``axis``, ``c``, ``driver`` of :class:`insemu.augment.Augmentation`.
-    slots, diagonal : int, bool
-        As in :func:`insemu.filters.expanded.predict`.
-    d_of, phi_of, mix_of, q_of : (every, LD), (every, slots, slots, 8), (every, k, LD), (every, l) arrays
-        ``d``, ``phi``, ``mix`` and ``q`` of :func:`insemu.filters.expanded.predict` over 1, 2, ... steps.
-    offsets, q_at : (k,), (l,) arrays of int
-        As there.
-    q_law : (l,) array of int
-        Law that each entry of ``q`` follows, -1 for none; empty where nothing follows a covariate.
-    time_at, time_law, time_of : (v,), (v,), (powers, nodes, v) arrays
-        Places among d, phi, mix and q one after the other of what follows a correlation time, its law, its values at the nodes.
-    power, laws, white_of : (N, g), (g, 4), (g, 6) arrays
-        Squared gains at the epochs and laws that follow the speed (:mod:`insemu.filters.following`), white noise that follows each law.
-    white : (6,) array
-        Variances of the samples' own white noise, (rad/s)^2 and (m/s^2)^2.
-    gravity : int
-        One of :data:`insemu.earth.GRAVITY_CODES`.
-    lever0 : (3,) array
-        Nominal lever arm from IMU to antenna, m, body axes.
-    lever_at, latency_at : int
-        First lever-arm state and latency state in the layout, -1 where they are not carried.
-    thresholds : (w + 1,) array
-        Largest accepted normalised innovation squared by the number of components.
-    timeout : float
-        Fixes are rejected for so long in a row, s.
-    every, output_every : int
-        Epochs from one propagation of the covariance, and from one row of the output, to the next.
-    window : int
-        Steps that the derivative of a fix by its latency is taken from.
-    around : int
-        Steps on each side of a fix that its derivatives by lever arm and latency are taken from.
-    tolerance : float
-        Times that are this close are the same, s.
-    first_of : (kinds,) array of int
-        First event of every kind, -1 where there is none.
-    event_next, event_t, event_epoch, event_kind, event_from, event_tau : (f,) arrays
-        ``next_alike``, ``t``, ``epoch``, ``kind``, ``since`` and ``tau`` of :class:`insemu.filters.events.Events`.
-    event_z, event_var, event_settings : (f, w), (f, w), (f, SETTINGS) arrays
-        ``z``, ``var`` and ``settings`` of the same.
-    cov_epoch, node_epoch : arrays of int
-        Epochs at which the whole covariance is kept and a node is stored, ascending.
-    store : bool
-        Whether nodes are stored: at those epochs and wherever something is measured.
+    samples : Samples
+        Of one record, or tuples of those of several in the lanes of a vector.
+    start : Start
+        ``nav`` (13,) is overwritten.
+    model : Packed
+    events : Events
+    plan : Plan
     carry : Carry
         The family of the filter (:mod:`insemu.filters.families`).
-    out_nav, out_var, out_x : (rows, 10), (rows, n), (rows, m) arrays
-        Overwritten: navigation state, variances, estimates of the augmented states.
-    fix_nu, fix_S, fix_nis, fix_dof, fix_ok, fix_epoch : (f, w), (f, w, w), (f,), (f,), (f,), (f,) arrays
-        Overwritten where an event is used: innovation, its covariance, normalised innovation squared, number of components, whether it was
-        accepted, epoch.
-    fix_K, fix_H : (f, n, w), (f, w, n) arrays
-        Overwritten: gain and measurement matrix. Without ``store`` only the first gain is used, as working space.
-    out_P : (covariances, n, n) array
-        Overwritten: the whole covariance at ``cov_epoch``.
-    node_at, node_nav, node_x, node_dx : (nodes,), (nodes, 10), (nodes, m), (nodes, n) arrays
-        Overwritten: epoch, states after the measurements, and the errors that the measurements took off.
-    node_before, node_after, node_phi : (nodes, n, n) arrays
-        Overwritten: covariance before and after the measurements, transition from the node before.
-    P : (n, n) array
-        Overwritten with the covariance at the end.
+    out : Buffers
+        Overwritten.
+    status : (2,) array
+        Overwritten with code and detail. 0: done. 1: ``P`` not positive semidefinite at state ``detail``. 2: innovation covariance not positive
+        definite in component ``detail``. 3: the navigation state is not finite at epoch ``detail``.
 
     Returns
     -------
-    (code, detail)
-        0: done, with ``detail`` nodes. 1: ``P`` not positive semidefinite at state ``detail``. 2: innovation covariance not positive
-        definite in component ``detail``. 3: the navigation state is not finite at epoch ``detail``.
+    int
+        How many nodes were stored.
     """
+    t, gyro, accel, power = samples
+    nav = start.nav
+    place, axis, c0, driver, white, steps, q_law, time_at, time_law, time_of, laws, white_of = model
+    lever_at, latency_at, every, window, store = plan.lever_at, plan.latency_at, plan.every, plan.window, plan.store
+    P = out.last
     n = place.size
     m = n - 9
     ld, first, wide = grid(nav)
-    end = first + wide * slots
+    end = first + wide * steps.slots
     E = zeros(nav, (end + 1) * ld)
     T = zeros(nav, 15 * ld)
-    work = zeros(nav, (wide * slots + 10) * ld)
+    work = zeros(nav, (wide * steps.slots + 10) * ld)
     A = zeros(nav, (end + 1) * ld if store else 1)
     w = zeros(nav, MAP_SIZE)
     F = zeros(nav, (9, 9))
@@ -243,10 +121,11 @@ def run(
     f_n, f_sum, span, count = zeros(nav, 3), zeros(nav, 3), 0.0, 0
     nav_before = zeros(nav, nav.size)
     rate, rate1 = zeros(nav, 3), zeros(nav, 3)
+    first_of, follows = queues(events.kind)
     kinds = first_of.size
     rate_sum, rate_count = zeros(nav, (kinds, 3)), np.zeros(kinds, dtype=np.int64)
     mean_rate = zeros(nav, 3)
-    upcoming = first_of.copy()
+    upcoming = first_of
     past = zeros(nav, (window, 6))  # acceleration and rate of the last steps
     trend = zeros(nav, 12)
     white_now, white_step = zeros(nav, 6), zeros(nav, 6)
@@ -255,7 +134,7 @@ def run(
     c_of = zeros(nav, m)
     dx = zeros(nav, n)
     node_total = zeros(nav, n)
-    width = event_z.shape[1]
+    width = events.z.shape[1]
     nu, H, R = zeros(nav, width), zeros(nav, (width, n)), zeros(nav, (width, width))
     rows = Rows(nu, H, R)
     rows_after = Rows(zeros(nav, width), zeros(nav, (width, n)), zeros(nav, (width, width)))
@@ -276,10 +155,10 @@ def run(
         white_step[i] = white[i]
     for i in range(n):
         for j in range(n):  # an assignment of slices would compile three seconds of messages
-            P[i, j] = P0[i, j]
+            P[i, j] = start.P[i, j]
     scatter(P, place, 1.0, E)
     for s in range(m):
-        x[place[9 + s]] = x0[s]
+        x[place[9 + s]] = start.x[s]
         if driver[s] >= 0:
             driven = True
         if axis[s] >= 0:
@@ -289,8 +168,8 @@ def run(
         reset_transition(A, end)
     cov, node, planned, row = 0, 0, 0, 0
 
-    d_one, phi_one = d_of[0], phi_of[0]
-    d, phi, mix, q = d_one, phi_one, mix_of[0], q_of[0]
+    d_one, phi_one = steps.d[0], steps.phi[0]
+    d, phi, mix, q = d_one, phi_one, steps.mix[0], steps.q[0]
     phi_end = ld + phi.size
     mix_end = phi_end + mix.size
     # matrices that follow covariates, one after the other: of one sample and of a step
@@ -301,6 +180,7 @@ def run(
     if timed:
         d_one, phi_one = of_one[:ld], of_one[ld:phi_end].reshape(phi.shape)
         d, phi, mix = of_step[:ld], of_step[ld:phi_end].reshape(phi.shape), of_step[phi_end:mix_end].reshape(mix.shape)
+    one = Transition(steps.slots, steps.diagonal, d_one, phi_one, steps.offsets, steps.mix[0], steps.q_at, steps.q[0])
     if _failed(status, first_bad_pivot(P, L), 1):
         return 0
     epochs = t.size
@@ -310,7 +190,7 @@ def run(
             dt = t[k] - t[k - 1]
             before = max(k - 1, 1)
             for a in range(1, kinds):
-                if upcoming[a] >= 0 and event_from[upcoming[a]] == k - 1:
+                if upcoming[a] >= 0 and events.since[upcoming[a]] == k - 1:
                     # the rate of the next such aid is averaged from here on, whatever the vehicle did before
                     for i in range(3):
                         rate_sum[a, i] = 0.0
@@ -333,7 +213,7 @@ def run(
                     power_sum[g] += power_now[g]
                 if timed:
                     take_times(of_one, time_at, time_law, time_of[0], power_now)
-            states_ahead(x, seen, slots, diagonal, d_one, phi_one, c, work)
+            states_ahead(x, seen, one, c, work)
             for i in range(3):
                 dth1[i], dv1[i], rate1[i] = dth[i], dv[i], rate[i]
                 dth[i] = number_at(gyro, k, i) - seen[i] * dt
@@ -362,16 +242,18 @@ def run(
             for a in range(kinds):
                 if upcoming[a] >= 0:
                     if a == FIX and latency_at >= 0:
-                        measures = measures or any_of(event_t[upcoming[a]] - x[place[latency_at]] <= t[k] + tolerance)
+                        measures = measures or any_of(
+                            events.t[upcoming[a]] - x[place[latency_at]] <= t[k] + plan.tolerance
+                        )
                     else:
-                        measures = measures or event_epoch[upcoming[a]] == k
+                        measures = measures or events.epoch[upcoming[a]] == k
             due = (
                 measures
                 or count == every
                 or k == epochs - 1
                 or k % every == 0  # so that the rows asked for change no number
-                or (cov < cov_epoch.size and cov_epoch[cov] == k)
-                or (planned < node_epoch.size and node_epoch[planned] == k)
+                or (cov < plan.cov_epoch.size and plan.cov_epoch[cov] == k)
+                or (planned < plan.node_epoch.size and plan.node_epoch[planned] == k)
             )
             if due:
                 if every > 1:
@@ -385,16 +267,16 @@ def run(
                     white_now[i] = white[i] / count
                     for g in range(groups):
                         white_now[i] += power_sum[g] * white_of[g, i] / (count * count)
-                fill_dynamics(nav, f_n, gravity, F)
+                fill_dynamics(nav, f_n, plan.gravity, F)
                 fill_map(F, mid, span, w)
                 half = 0.5 * span
                 if every > 1 and timed:
-                    _lay(of_step, d_of[count - 1], phi_of[count - 1], mix_of[count - 1])
+                    _lay(of_step, steps.d[count - 1], steps.phi[count - 1], steps.mix[count - 1])
                 elif every > 1:
-                    d, phi, mix, q = d_of[count - 1], phi_of[count - 1], mix_of[count - 1], q_of[count - 1]
+                    d, phi, mix, q = steps.d[count - 1], steps.phi[count - 1], steps.mix[count - 1], steps.q[count - 1]
                 if groups > 0:
                     for i in range(q_law.size):
-                        q_now[i] = q_of[count - 1, i]
+                        q_now[i] = steps.q[count - 1, i]
                         if q_law[i] >= 0:
                             q_now[i] *= power_sum[q_law[i]] / count
                     for g in range(groups):
@@ -404,24 +286,25 @@ def run(
                     for g in range(groups):
                         power_sum[g] = 0.0
                     q = q_now
-                predict(E, w, half, slots, diagonal, d, phi, offsets, mix, q_at, q, c, white_now, T, work)
+                over = Transition(steps.slots, steps.diagonal, d, phi, steps.offsets, mix, steps.q_at, q)
+                predict(E, w, half, over, c, white_now, T, work)
                 if store:
-                    advance_transition(A, w, half, slots, diagonal, d, phi, c, work)
+                    advance_transition(A, w, half, over, c, work)
                 span, count = 0.0, 0
-            step(nav, dth, dv, dth1, dv1, dt, dt if k == 1 else t[before] - t[before - 1], gravity)
+            step(nav, dth, dv, dth1, dv1, dt, dt if k == 1 else t[before] - t[before - 1], plan.gravity)
             if installed:
                 now = k % window
                 for i in range(3):
                     past[now, i], past[now, 3 + i] = (nav[3 + i] - nav_before[3 + i]) / dt, rate[i]
 
-        is_planned = planned < node_epoch.size and node_epoch[planned] == k
+        is_planned = planned < plan.node_epoch.size and plan.node_epoch[planned] == k
         is_node = store and (is_planned or measures)
         if is_node:
             gather(E, place, P)
             for i in range(n):
                 for j in range(n):
-                    node_before[node, i, j] = P[i, j]
-                    node_phi[node, i, j] = A[place[i] * ld + place[j]]
+                    out.before[node, i, j] = P[i, j]
+                    out.phi[node, i, j] = A[place[i] * ld + place[j]]
                 node_total[i] = 0.0
         while measures:
             event = -1
@@ -429,29 +312,29 @@ def run(
                 e = upcoming[a]
                 if e >= 0:
                     if a == FIX and latency_at >= 0:
-                        here = any_of(event_t[e] - x[place[latency_at]] <= t[k] + tolerance)
+                        here = any_of(events.t[e] - x[place[latency_at]] <= t[k] + plan.tolerance)
                     else:
-                        here = event_epoch[e] == k
+                        here = events.epoch[e] == k
                     if here and (event < 0 or e < event):
                         event = e
             if event < 0:
                 break
-            kind = event_kind[event]
-            upcoming[kind] = event_next[event]
-            fix_epoch[event] = k
-            tau = 0.0 * t[0] + event_tau[event]
+            kind = events.kind[event]
+            upcoming[kind] = follows[event]
+            out.epoch[event] = k
+            tau = 0.0 * t[0] + events.tau[event]
             in_time = True
             if kind == FIX and latency_at >= 0:
-                tau = t[k] - (event_t[event] - x[place[latency_at]])
-                tau = where(tau < tolerance, 0.0, tau)
+                tau = t[k] - (events.t[event] - x[place[latency_at]])
+                tau = where(tau < plan.tolerance, 0.0, tau)
                 in_time = any_of(tau <= LATE_STEPS * (t[k] - t[k - 1]))
                 fill_trend(past, k, (t[k] - t[0]) / k, trend)
             if kind == FIX and installed:
-                fill_rate(t, gyro, seen, past, k, tau, around, trend[9:])
+                fill_rate(t, gyro, seen, past, k, tau, plan.around, trend[9:])
             if in_time:
                 dt = t[k] - t[k - 1]
                 for i in range(3):
-                    lever[i] = lever0[i]
+                    lever[i] = plan.lever[i]
                     if lever_at >= 0:
                         lever[i] += x[place[lever_at + i]]
                     mean_rate[i] = rate_sum[kind, i] / max(rate_count[kind], 1)
@@ -459,37 +342,37 @@ def run(
                     nav, nav_before, dt, tau, rate, rate1, mean_rate, rate_count[kind], white_step, c_of, axis, lever, lever_at,
                     latency_at, trend,
                 )  # fmt: skip
-                fill_rows(kind, moment, event_z[event], event_settings[event], rows)
+                fill_rows(kind, moment, events.z[event], events.settings[event], rows)
                 if kind == FIX and latency_at >= 0:
                     at = place[latency_at]
                     add_curvature(trend, E[at * ld + at], nu, R)
                 for i in range(width):
-                    used[i] = where(math.isfinite(event_z[event, i] + event_var[event, i]), 1.0, 0.0)
+                    used[i] = where(math.isfinite(events.z[event, i] + events.var[event, i]), 1.0, 0.0)
                     if any_of(used[i] > 0.0):
-                        R[i, i] += event_var[event, i]
-                        fix_nu[event, i] = where(used[i] > 0.0, nu[i], fix_nu[event, i])
+                        R[i, i] += events.var[event, i]
+                        out.nu[event, i] = where(used[i] > 0.0, nu[i], out.nu[event, i])
                 if store:
                     for i in range(width):
                         for j in range(n):
-                            fix_H[event, i, j] = H[i, j]
+                            out.H[event, i, j] = H[i, j]
                 gather(E, place, P)
                 free = -math.inf
                 if kind == FIX:
-                    free = where(t[k] - rejected_from >= timeout, math.inf, -math.inf)
+                    free = where(t[k] - rejected_from >= plan.timeout, math.inf, -math.inf)
                 changed = Update(
-                    P, P_before, dx, fix_S[event], fix_K[event if store else 0], nav_moved, before_moved, room, scale
+                    P, P_before, dx, out.S[event], out.K[event if store else 0], nav_moved, before_moved, room, scale
                 )
                 nis, dof, ok, bad = absorb(
                     carry,
                     changed,
                     kind,
                     moment,
-                    event_z[event],
-                    event_var[event],
-                    event_settings[event],
+                    events.z[event],
+                    events.var[event],
+                    events.settings[event],
                     rows,
                     used,
-                    thresholds,
+                    plan.thresholds,
                     free,
                 )
                 if _failed(status, bad, 2):
@@ -497,7 +380,7 @@ def run(
                 if kind == FIX:
                     rejected = where(ok > 0.0, math.inf, min(rejected_from, t[k]))
                     rejected_from = where(dof > 0.0, rejected, rejected_from)
-                fix_nis[event], fix_dof[event], fix_ok[event] = nis, dof, ok
+                out.nis[event], out.dof[event], out.ok[event] = nis, dof, ok
                 if any_of(ok > 0.0):
                     settle(carry.coordinates, nav, P, dx)
                     for s in range(m):
@@ -514,12 +397,12 @@ def run(
                                 past[j, i] += moved[i]
                         if kind == FIX:
                             for i in range(3):
-                                lever[i] = lever0[i]
+                                lever[i] = plan.lever[i]
                                 if lever_at >= 0:
                                     lever[i] += x[place[lever_at + i]]
                                 trend[i] += moved[i]
                                 trend[9 + i] += moved[3 + i]
-                            fill_rows(kind, moment, event_z[event], event_settings[event], rows_after)
+                            fill_rows(kind, moment, events.z[event], events.settings[event], rows_after)
                             turn(P, H, rows_after.H, used)
                     if _failed(status, first_bad_pivot(P, L), 1):
                         return node
@@ -528,29 +411,29 @@ def run(
                         node_total[i] += dx[i]
         if is_node:
             gather(E, place, P)
-            node_at[node] = k
+            out.node_at[node] = k
             for i in range(n):
-                node_dx[node, i] = node_total[i]
+                out.node_dx[node, i] = node_total[i]
                 for j in range(n):
-                    node_after[node, i, j] = P[i, j]
+                    out.after[node, i, j] = P[i, j]
             for i in range(10):
-                node_nav[node, i] = nav[i]
+                out.node_nav[node, i] = nav[i]
             for s in range(m):
-                node_x[node, s] = x[place[9 + s]]
+                out.node_x[node, s] = x[place[9 + s]]
             reset_transition(A, end)
             node += 1
         if is_planned:
             planned += 1
-        if cov < cov_epoch.size and cov_epoch[cov] == k:
-            gather(E, place, out_P[cov])
+        if cov < plan.cov_epoch.size and plan.cov_epoch[cov] == k:
+            gather(E, place, out.P[cov])
             cov += 1
-        if k % output_every == 0 or k == epochs - 1:
+        if k % plan.output_every == 0 or k == epochs - 1:
             for i in range(10):
-                out_nav[row, i] = nav[i]
+                out.nav[row, i] = nav[i]
             for i in range(n):
-                out_var[row, i] = E[place[i] * ld + place[i]]
+                out.var[row, i] = E[place[i] * ld + place[i]]
             for s in range(m):
-                out_x[row, s] = x[place[9 + s]]
+                out.x[row, s] = x[place[9 + s]]
             row += 1
     for i in range(10):
         _failed(status, where(math.isfinite(nav[i]), -1.0, epochs - 1.0), 3)

@@ -1,9 +1,9 @@
-"""An augmentation laid out in the slots of the compiled loop."""
+"""What the compiled loops of filters take: samples, a start, a belief laid out in slots, and how a flight runs."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,27 +11,128 @@ from numpy.typing import NDArray
 from insemu.augment import Augmentation
 from insemu.errors import InputError
 from insemu.filters import expanded, following
+from insemu.lanes import spread
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class Packed:
-    """The augmentation in the compiled loop's slots."""
+class Samples(NamedTuple):
+    """An IMU record.
 
-    place: NDArray[np.int64]
-    slots: int
-    diagonal: bool
-    d: Array
-    phi: Array
-    offsets: NDArray[np.int64]
-    mix: Array
-    q_at: NDArray[np.int64]
-    q: Array
-    q_law: NDArray[np.int64]
-    time_at: NDArray[np.int64]
-    time_law: NDArray[np.int64]
+    Parameters
+    ----------
+    t : (N,) array
+        Epochs, s.
+    gyro, accel : (N, 3 or more) arrays
+        Increments over the interval that ends at the epoch, rad and m/s, body axes; further columns drive states.
+    power : (N, g) array
+        Squared gains of the laws that follow a covariate (:mod:`insemu.filters.following`).
+    """
+
+    t: Array
+    gyro: Any
+    accel: Any
+    power: Any
+
+
+class Start(NamedTuple):
+    """What a filter begins with.
+
+    Parameters
+    ----------
+    nav : (10,) array
+        Navigation state; (13,) in the compiled loops, as :func:`insemu.strapdown.step` takes it.
+    x, P : (m,), (n, n) arrays
+        Estimates of the augmented states, and the covariance of all; n = 9 + m.
+    """
+
+    nav: Array
+    x: Array
+    P: Array
+
+
+class Plan(NamedTuple):
+    """How a flight runs.
+
+    Parameters
+    ----------
+    gravity : int
+        One of :data:`insemu.earth.GRAVITY_CODES`.
+    lever : (3,) array
+        Nominal lever arm from IMU to antenna, m, body axes.
+    lever_at, latency_at : int
+        First lever-arm state and latency state in the layout, -1 where they are not carried.
+    thresholds : (w + 1,) array
+        Largest accepted normalised innovation squared by the number of components.
+    timeout : float
+        Fixes are rejected for so long in a row, s.
+    every, output_every : int
+        Epochs from one propagation of the covariance, and from one row of the output, to the next.
+    window, around : int
+        Steps that the derivative of a fix by its latency is taken from, and on each side of a fix those of its derivatives by lever arm and latency.
+    tolerance : float
+        Times that are this close are the same, s.
+    store : bool
+        Whether nodes are stored: at ``node_epoch`` and wherever something is measured.
+    cov_epoch, node_epoch : arrays of int
+        Epochs at which the whole covariance is kept and a node is stored, ascending.
+    """
+
+    gravity: int
+    lever: Array
+    lever_at: int
+    latency_at: int
+    thresholds: Array
+    timeout: float
+    every: int
+    output_every: int
+    window: int
+    around: int
+    tolerance: float
+    store: bool
+    cov_epoch: Ints
+    node_epoch: Ints
+
+
+class Packed(NamedTuple):
+    """A belief as the compiled loop takes it, n = 9 + m states in slots.
+
+    Parameters
+    ----------
+    place : (n,) array of int
+        Row of each state in the expanded covariance.
+    axis, c, driver : (m,) arrays
+        As in :class:`insemu.augment.Augmentation`.
+    white : (6,) array
+        Variances of the samples' own white noise, (rad/s)^2 and (m/s^2)^2.
+    steps : Transition
+        Over 1, 2, ... samples.
+    q_law : (l,) array of int
+        Law that each entry of ``steps.q`` follows, -1 for none; empty where nothing follows a covariate.
+    time_at, time_law, time_of : (v,), (v,), (powers, nodes, v) arrays
+        Places among d, phi, mix and q one after the other of what follows a correlation time, its law, its values at the nodes.
+    laws, white_of : (g, 4), (g, 6) arrays
+        Laws that follow the speed (:mod:`insemu.filters.following`), white noise that follows each law.
+    """
+
+    place: Ints
+    axis: Ints
+    c: Array
+    driver: Ints
+    white: Array
+    steps: expanded.Transition
+    q_law: Ints
+    time_at: Ints
+    time_law: Ints
     time_of: Array
+    laws: Array
+    white_of: Array
+
+    def in_lanes(self) -> Packed:
+        """For several realizations."""
+        s = self.steps
+        return self._replace(steps=s._replace(d=spread(s.d), phi=spread(s.phi), mix=spread(s.mix), q=spread(s.q)))
 
 
 def pack(aug: Augmentation, powers: int, *, side_by_side: bool = False) -> Packed:
@@ -85,31 +186,26 @@ def pack(aug: Augmentation, powers: int, *, side_by_side: bool = False) -> Packe
             at = FIRST + wide * k
             mix[:, row, at : at + wide] = phi[:, k, k - o, :wide]
     rows, columns = np.nonzero((Qs != 0).any(axis=0))
+    steps = expanded.Transition(
+        slots, diagonal, d, phi, offsets, mix, extra[rows] * LD + extra[columns], np.ascontiguousarray(Qs[:, rows, columns])
+    )  # fmt: skip
+    law = aug.law_of[rows] if aug.laws else np.zeros(0, dtype=np.int64)
+    timed = _following_times(aug, powers, (slot, lanes, extra), LD, phi[0].shape, offsets, (rows, columns))
     return Packed(
-        place,
-        slots,
-        diagonal,
-        d,
-        phi,
-        offsets,
-        mix,
-        extra[rows] * LD + extra[columns],
-        np.ascontiguousarray(Qs[:, rows, columns]),
-        aug.law_of[rows] if aug.laws else np.zeros(0, dtype=np.int64),
-        *_following_times(aug, powers, (slot, lanes, extra), LD, phi[0].shape, offsets, (rows, columns)),
+        place, aug.axis, aug.c, aug.driver, aug.white, steps, law, *timed, following.of_speed(aug), aug.white_of
     )
 
 
 def _following_times(
     aug: Augmentation,
     powers: int,
-    lain: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
+    lain: tuple[Ints, Ints, Ints],
     LD: int,
     shape: tuple[int, ...],
-    offsets: NDArray[np.int64],
+    offsets: Ints,
     driven: tuple[NDArray[np.intp], NDArray[np.intp]],
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Places in d, phi, mix and q one after the other of what follows correlation times, their laws and values: see :func:`kernel.run`.
+) -> tuple[Ints, Ints, Array]:
+    """Places in d, phi, mix and q one after the other of what follows correlation times, their laws and values: see :class:`Packed`.
 
     Parameters
     ----------

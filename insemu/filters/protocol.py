@@ -5,14 +5,18 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from pkgutil import iter_modules
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError, nearest
+from insemu.filters import adapters
 from insemu.filters.ekf import LooselyCoupledEKF
 from insemu.filters.families import FAMILIES, Family
 from insemu.filters.options import FilterOptions, InitialSigma
@@ -23,12 +27,21 @@ from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
 
+
+class NotYet(InputError):
+    """The estimate of a program that has not yet run on what was written for it."""
+
+
 #: Group of entry points under which packages offer their filters.
 GROUP = "insemu.filters"
 #: Filters that come with insemu beside the compiled one, by the name that a scenario gives.
 OWN = {
     name: EntryPoint(name, f"insemu.filters.{place}", GROUP)
-    for name, place in (("reference", "reference:ReferenceEKF"), ("ukf", "unscented:UnscentedKalmanFilter"))
+    for name, place in (
+        ("reference", "reference:ReferenceEKF"),
+        ("ukf", "unscented:UnscentedKalmanFilter"),
+        *((found.name, f"adapters.{found.name}:Adapter") for found in iter_modules(adapters.__path__)),
+    )
 }
 
 
@@ -74,6 +87,50 @@ def register_filter(name: str, filter: type[NavigationFilter]) -> None:
     if not callable(getattr(filter, "run", None)):
         raise InputError(f"the filter '{name}' has no method run(imu, gnss, initial, initial_sigma)")
     REGISTERED[name] = filter
+
+
+def named_filter(given: str) -> tuple[str, str, dict[str, Any], bool]:
+    """A filter as it is asked for on the command line: ``(label, name, settings, correlated)``, name and settings as of a design.
+
+    Parameters
+    ----------
+    given : str
+        A name that a scenario could give; ``path/to/file.py:Class`` or ``package.module:Class``; or a folder through which another program
+        gives its estimates (:mod:`insemu.filters.adapters.files`).
+
+    Returns
+    -------
+    correlated : bool
+        Whether the filter states a whole covariance: its attribute ``correlated``, true unless it says otherwise.
+
+    Raises
+    ------
+    InputError
+        No such file, module or class; see :func:`user_filter`.
+    """
+    settings: dict[str, Any] = {}
+    place, _, cls = given.rpartition(":")
+    if cls and place:
+        path = Path(place)
+        try:
+            if path.suffix == ".py":
+                spec = spec_from_file_location(path.stem, path)
+                assert spec is not None and spec.loader is not None
+                module = module_from_spec(spec)
+                sys.modules[path.stem] = module
+                spec.loader.exec_module(module)
+            else:
+                module = import_module(place)
+            register_filter(cls, getattr(module, cls))
+        except (ImportError, AttributeError, FileNotFoundError) as error:
+            raise InputError(f"the filter cannot be imported: {error}", where=given) from None
+        name = label = cls
+    elif Path(given).is_dir():
+        name, label, settings = "files", Path(given).name, {"folder": given}
+    else:
+        name = label = given
+    kind: Any = LooselyCoupledEKF if name in FAMILIES else user_filter(name)
+    return label, name, settings, bool(getattr(kind, "correlated", True))
 
 
 @dataclass(frozen=True)

@@ -10,23 +10,21 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from insemu import earth, rotation, strapdown
 from insemu.errors import InputError
 from insemu.filters import following, measurements
 from insemu.filters.aids import fill_rows
-from insemu.filters.ekf import LooselyCoupledEKF, steps_around, trend_window
+from insemu.filters.ekf import Flight, LooselyCoupledEKF, steps_around, trend_window
 from insemu.filters.events import FIX_ROWS, SAME_TIME, Events
 from insemu.filters.kernel import LATE_STEPS
-from insemu.filters.options import InitialSigma
 from insemu.filters.results import FilterResult, FixTable
 from insemu.filters.rows import Moment, Rows
-from insemu.records import AidRecord, GnssRecord, ImuRecord, Trajectory
-from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
 
@@ -97,7 +95,7 @@ def augmented(Phi: Array, B: Array, Phi_x: Array, Q_x: Array, C_x: Array, white:
 
 
 @dataclass
-class _Flight:
+class _Moving:
     """The filter between two epochs: what moves, and what the last step was."""
 
     ekf: LooselyCoupledEKF
@@ -213,7 +211,7 @@ class _Flight:
             self.known = self.known - np.append(change[3:], np.zeros(3))
 
 
-def _due(flight: _Flight, events: Events, waiting: list[int], t: Array, k: int) -> tuple[int, float] | None:
+def _due(flight: _Moving, events: Events, waiting: list[int], t: Array, k: int) -> tuple[int, float] | None:
     """The next measurement that is used at epoch ``k``, and how long ago it was valid; None where there is none."""
     latency_at = flight.ekf.installation()[1]
     tolerance = SAME_TIME * flight.ekf.dt
@@ -228,49 +226,17 @@ def _due(flight: _Flight, events: Events, waiting: list[int], t: Array, k: int) 
     return None
 
 
-def reference_run(
-    ekf: LooselyCoupledEKF,
-    imu: ImuRecord,
-    gnss: GnssRecord | None,
-    initial: NavState | Trajectory,
-    initial_sigma: InitialSigma | ArrayLike,
-    *,
-    aids: Sequence[AidRecord] = (),
-    initial_states: ArrayLike | None = None,
-) -> FilterResult:
-    """Fly ``ekf`` through a record with filterpy; same arguments and result as :meth:`LooselyCoupledEKF.run`.
-
-    Every epoch of the covariance is propagated, and no nodes are kept.
-
-    Parameters
-    ----------
-    ekf : LooselyCoupledEKF
-        The design.
-    imu : ImuRecord
-    gnss : GnssRecord or None
-    initial : NavState or Trajectory
-        At ``imu.t[0]``.
-    initial_sigma : InitialSigma or (n, n) covariance
-    aids : sequence of AidRecord
-    initial_states : (n - 9,) array_like, optional
-        Initial estimates of the augmented states; zero unless given.
-
-    Raises
-    ------
-    InputError
-        As the compiled loop, and for an option that only that has.
-    """
+def _flown(ekf: LooselyCoupledEKF, given: Flight) -> FilterResult:
+    """One record through filterpy's filter."""
     o = ekf.options
     if o.covariance_every != 1 or o.store != "none":
         raise InputError("the reference filter runs at full covariance rate and without nodes")
     started = time.perf_counter()
-    record, nav, x0 = ekf.checked(imu, initial, initial_states)
-    t, n = record.t, ekf.layout.n
+    (t, gyro, accel, power), begun, events = given.samples, given.start, given.events
+    n = ekf.layout.n
     kf = KalmanFilter(dim_x=n, dim_z=FIX_ROWS)
-    kf.x, kf.P = np.zeros(n), ekf.initial_covariance(initial_sigma, imu, nav)
-    power = following.powers(ekf.augmentation, imu)
-    flight = _Flight(ekf, kf, np.concatenate([nav, np.zeros(3)]), x0, t, record.gyro)
-    events = ekf.events(t, gnss, aids)
+    kf.x, kf.P = np.zeros(n), begun.P
+    flight = _Moving(ekf, kf, np.concatenate([begun.nav, np.zeros(3)]), begun.x, t, gyro)
     f, w = events.z.shape
     thresholds = ekf.thresholds(w)
     fixes = FixTable(
@@ -281,7 +247,7 @@ def reference_run(
     wanted = ekf.covariance_epochs(t)
     kept: list[Array] = []
     rows: list[tuple[float, Array, Array, Array]] = []
-    sensed = np.hstack(ekf.augmentation.sensed(record))
+    sensed = np.hstack([gyro, accel])
     for k in range(t.size):
         if k > 0:
             flight.predict(sensed[k], t[k] - t[k - 1], power[min(k, len(power) - 1)])
@@ -330,17 +296,15 @@ def reference_run(
 
 
 class ReferenceEKF(LooselyCoupledEKF):
-    """The design of a :class:`LooselyCoupledEKF`, flown by :func:`reference_run`: in a scenario ``filter: reference``."""
+    """The design of a :class:`LooselyCoupledEKF` flown by filterpy, two orders of magnitude slower: in a scenario ``filter: reference``.
 
-    def run(
-        self,
-        imu: ImuRecord,
-        gnss: GnssRecord | None,
-        initial: NavState | Trajectory,
-        initial_sigma: InitialSigma | ArrayLike,
-        *,
-        aids: Sequence[AidRecord] = (),
-        initial_states: ArrayLike | None = None,
-    ) -> FilterResult:
-        """As :meth:`LooselyCoupledEKF.run`, two orders of magnitude slower."""
-        return reference_run(self, imu, gnss, initial, initial_sigma, aids=aids, initial_states=initial_states)
+    Every epoch of the covariance is propagated, and no nodes are kept; options that ask for something else raise ``InputError``.
+    """
+
+    def _fly(self, flights: Sequence[Flight], *, side_by_side: bool) -> list[FilterResult | InputError]:
+        return [_flown(self, flight) for flight in flights]
+
+
+def reference_run(ekf: LooselyCoupledEKF, *record: Any, **further: Any) -> FilterResult:
+    """:meth:`LooselyCoupledEKF.run` of the design ``ekf``, flown by filterpy; the same arguments, result and errors."""
+    return ekf.again(ekf.dt, ekf.options, ReferenceEKF).run(*record, **further)

@@ -138,6 +138,43 @@ class FilterResult:
     epochs: int
     seconds: float
 
+    @classmethod
+    def stated(
+        cls,
+        t: Array,
+        nav: Array,
+        covariance: Array,
+        at: Sequence[float],
+        *,
+        seconds: float = 0.0,
+        epochs: int = 0,
+        fixes: FixTable | None = None,
+    ) -> FilterResult:
+        """What a filter of another kind says: navigation states and their covariance, row by row.
+
+        Parameters
+        ----------
+        t : (k,) array
+            s.
+        nav : (k, 10) array
+            Latitude, longitude (rad), height (m), velocity NED (m/s), quaternion body to NED.
+        covariance : (k, 9, 9) array
+            Of position (m north, east, down), velocity and attitude errors, as :func:`insemu.evaluate.navigation_error` defines these.
+        at : sequence of float
+            ``options.covariance_at``: the rows nearest to these times are kept as covariances.
+        seconds, epochs : float, int
+            What the run took, and over how many samples.
+        fixes : FixTable, optional
+            Innovations; without them consistency is judged by the errors alone.
+        """
+        rows = np.searchsorted(t, np.asarray(at, dtype=np.float64) - 1e-6).clip(0, t.size - 1)
+        none = np.zeros(0, dtype=np.int64)
+        nothing = FixTable(np.zeros(0), none, none, np.zeros((0, 6)), np.zeros((0, 6, 6)), np.zeros(0), none, none > 0)
+        return cls(
+            StateLayout.of_navigation(), t, nav, np.sqrt(np.einsum("kii->ki", covariance)), np.zeros((t.size, 0)), fixes or nothing, t[rows],
+            covariance[rows], None, covariance[-1], epochs or t.size - 1, seconds,
+        )  # fmt: skip
+
     def fixes_of_nodes(self) -> dict[int, list[int]]:
         """Rows of the fixes by the node at which they were used, in order; a velocity may come within the sample of a position."""
         out: dict[int, list[int]] = {}

@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 from insemu.compiled import njit
 from insemu.earth import scalar_radii
 from insemu.filters.aids import fill_rows
+from insemu.filters.buffers import Buffers
+from insemu.filters.events import Events, queues
 from insemu.filters.measurements import FIX, take_off
+from insemu.filters.packed import Plan, Samples, Start
 from insemu.filters.rows import Moment, Rows
 from insemu.lanes import LANES, any_of, where
 from insemu.rotation import scalar_dcm, scalar_wrapped
@@ -19,23 +22,6 @@ from insemu.strapdown import correct, step
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-
-class Record(NamedTuple):
-    """What is flown: epochs (N,), increments (N, 3), (N, 3 or more), events as in :class:`insemu.filters.events.Events`."""
-
-    t: Array
-    gyro: Array
-    accel: Array
-    epoch: Ints
-    kind: Ints
-    since: Ints
-    tau: Array
-    z: Array
-    var: Array
-    settings: Array
-    next_alike: Ints
-    first_of: Ints
 
 
 class Design(NamedTuple):
@@ -52,13 +38,7 @@ class Design(NamedTuple):
     c: Array
     driver: Ints
     white: Array
-    lever: Array
-    lever_at: int
-    gravity: int
-    thresholds: Array
-    timeout: float
-    every: int
-    output_every: int
+    plan: Plan
     gamma: float
     extra: float
     angle: Array
@@ -227,7 +207,7 @@ def _renew(
 
 
 @njit(cache=True, nogil=True)
-def _move(p: Points, o: Design, r: Record, k: int, c_of: Array) -> None:
+def _move(p: Points, o: Design, r: Samples, k: int, c_of: Array) -> None:
     """Fly every point over one sample."""
     before = max(k - 1, 1)
     dt, dt_before = r.t[k] - r.t[k - 1], r.t[before] - r.t[before - 1]
@@ -253,16 +233,15 @@ def _move(p: Points, o: Design, r: Record, k: int, c_of: Array) -> None:
             inc[1, a] = r.accel[k, a] - seen[3 + a] * dt
             inc[2, a] = r.gyro[before, a] - seen[a] * dt_before
             inc[3, a] = r.accel[before, a] - seen[3 + a] * dt_before
-        step(p.nav_l[g], inc[0, :3], inc[1, :3], inc[2, :3], inc[3, :3], dt, dt_before, o.gravity)
+        step(p.nav_l[g], inc[0, :3], inc[1, :3], inc[2, :3], inc[3, :3], dt, dt_before, o.plan.gravity)
 
 
 @njit(cache=True, nogil=True)
 def _rows_of(
     p: Points,
     o: Design,
-    r: Record,
-    e: int,
-    k: int,
+    dt: float,
+    event: tuple[int, float, Array, Array],
     given: Array,
     nav_before: Array,
     count: int,
@@ -270,13 +249,12 @@ def _rows_of(
     nu: Array,
     R: Array,
 ) -> None:
-    """Innovations of an event at every point, ``nu`` (points, w), and the noise at the centre, ``R`` (w, w).
+    """Innovations of an event (kind, tau, z, settings) at every point, ``nu`` (points, w), and the noise at the centre, ``R`` (w, w).
 
     ``given`` (3, 3) holds the last two rates and the mean rate, corrected by the central point's states.
     """
     m, w, n = c_of.size, R.shape[0], p.d.shape[1]
-    kind = r.kind[e]
-    dt = r.t[k] - r.t[k - 1]
+    kind, tau, z, settings = event
     here, past, rates, lever = np.empty(13), np.empty(13), np.empty((3, 3)), np.empty(3)
     H, noise, none = np.zeros((w, n)), np.zeros((w, w)), np.zeros(12)
     for i in range(nu.shape[0]):
@@ -291,13 +269,13 @@ def _rows_of(
                     seen += c_of[s] * (p.x[g, s, lane] - p.x[0, s, 0])
             for j in range(3):
                 rates[j, a] = given[j, a] - seen
-            lever[a] = o.lever[a]
-            if o.lever_at >= 0:
-                lever[a] += p.x[g, o.lever_at - 9 + a, lane]
+            lever[a] = o.plan.lever[a]
+            if o.plan.lever_at >= 0:
+                lever[a] += p.x[g, o.plan.lever_at - 9 + a, lane]
         moment = Moment(
-            here, past, dt, r.tau[e], rates[0], rates[1], rates[2], count, o.white, c_of, o.axis, lever, -1, -1, none
+            here, past, dt, tau, rates[0], rates[1], rates[2], count, o.white, c_of, o.axis, lever, -1, -1, none
         )  # fmt: skip
-        fill_rows(kind, moment, r.z[e], r.settings[e], Rows(nu[i], H, noise))
+        fill_rows(kind, moment, z, settings, Rows(nu[i], H, noise))
         if i == 0:
             for a in range(w):
                 for b in range(w):
@@ -379,7 +357,7 @@ def _absorb(
         y[a] = total / V[a, a]
         nis += y[a] * y[a]
     dx[:] = 0.0
-    if not nis <= max(o.thresholds[q], free):
+    if not nis <= max(o.plan.thresholds[q], free):
         return nis, 0
     K = np.zeros((n, q))  # less the gain: a point that errs more measures less of it
     for i in range(n):
@@ -415,33 +393,34 @@ def _absorb(
 
 
 @njit(cache=True, nogil=True)
-def fly(p: Points, o: Design, r: Record, nav: Array, x: Array, S: Array, cov_epoch: Ints, out: Any) -> int:
+def fly(p: Points, o: Design, r: Samples, events: Events, start: Start, out: Buffers) -> int:
     """Fly the filter through a record.
 
     Parameters
     ----------
     p : Points
     o : Design
-    r : Record
-    nav, x, S : (13,), (m,), (n, n) arrays
-        Estimate and lower factor of the covariance at the start; overwritten by those at the end.
-    cov_epoch : (k,) array of int
-        Epochs at which the whole covariance is kept.
-    out : tuple of arrays
-        ``nav, var, x, nu, S, nis, dof, ok, P`` of :class:`insemu.filters.buffers.Buffers`; overwritten.
+    r : Samples
+    events : Events
+    start : Start
+        ``nav`` (13,); ``P`` is the lower factor of the covariance. Overwritten by those at the end.
+    out : Buffers
+        Overwritten.
 
     Returns
     -------
     int
         0; -1 where an innovation has no positive covariance.
     """
-    out_nav, out_var, out_x, fix_nu, fix_S, fix_nis, fix_dof, fix_ok, out_P = out
-    n, m, width = S.shape[0], x.size, r.z.shape[1]
-    points, kinds = 2 * n + 1, r.first_of.size
+    nav, x, S = start
+    cov_epoch = o.plan.cov_epoch
+    n, m, width = S.shape[0], x.size, events.z.shape[1]
+    upcoming, follows = queues(events.kind)
+    points, kinds = 2 * n + 1, upcoming.size
     c_of, C, B, f_n = o.c.copy(), np.empty((3, 3)), np.empty((3, 3)), np.zeros(3)
     nu, R, dx = np.empty((points, width)), np.empty((width, width)), np.empty(n)
     given, nav_before = np.zeros((3, 3)), nav.copy()
-    rate_sum, rate_count, upcoming = np.zeros((kinds, 3)), np.zeros(kinds, dtype=np.int64), r.first_of.copy()
+    rate_sum, rate_count = np.zeros((kinds, 3)), np.zeros(kinds, dtype=np.int64)
     at = np.empty(width, dtype=np.int64)
     span, count, cov, row, e, rejected_from = 0.0, 0, 0, 0, 0, math.inf
     driven = (o.driver >= 0).any()
@@ -454,7 +433,7 @@ def fly(p: Points, o: Design, r: Record, nav: Array, x: Array, S: Array, cov_epo
                     a = o.driver[s]
                     if a >= 0:
                         c_of[s] = o.c[s] * (r.gyro[k, a] if a < 3 else r.accel[k, a - 3]) / dt
-            measures = e < r.epoch.size and r.epoch[e] == k
+            measures = e < events.epoch.size and events.epoch[e] == k
             for i in range(13):
                 nav_before[i] = p.nav[0, i, 0]
             scalar_dcm(nav_before[6:10], B)
@@ -471,14 +450,14 @@ def fly(p: Points, o: Design, r: Record, nav: Array, x: Array, S: Array, cov_epo
                     force += B[i, a] * r.accel[k, a]
                 f_n[i] += force
             for a in range(1, kinds):
-                if upcoming[a] >= 0 and r.since[upcoming[a]] == k - 1:
+                if upcoming[a] >= 0 and events.since[upcoming[a]] == k - 1:
                     rate_sum[a, :] = 0.0
                     rate_count[a] = 0
                 rate_count[a] += 1
                 for i in range(3):
                     rate_sum[a, i] += given[0, i]
             if (
-                measures or count == o.every or k == r.t.size - 1 or k % o.every == 0
+                measures or count == o.plan.every or k == r.t.size - 1 or k % o.plan.every == 0
                 or (cov < cov_epoch.size and cov_epoch[cov] == k)
             ):  # fmt: skip
                 scalar_dcm(p.nav[0, 6:10, 0], C)
@@ -490,24 +469,25 @@ def fly(p: Points, o: Design, r: Record, nav: Array, x: Array, S: Array, cov_epo
                 _draw(p, nav, x, S, o.gamma)
                 f_n[:] = 0.0
                 span, count = 0.0, 0
-            while e < r.epoch.size and r.epoch[e] == k:
-                kind = r.kind[e]
-                upcoming[kind] = r.next_alike[e]
+            while e < events.epoch.size and events.epoch[e] == k:
+                kind = events.kind[e]
+                upcoming[kind] = follows[e]
                 for i in range(3):
                     given[2, i] = rate_sum[kind, i] / max(rate_count[kind], 1)
                 q = 0
                 for i in range(width):
-                    if math.isfinite(r.z[e, i] + r.var[e, i]):
+                    if math.isfinite(events.z[e, i] + events.var[e, i]):
                         at[q] = i
                         q += 1
-                fix_dof[e], fix_ok[e] = q, 0.0
+                out.dof[e], out.ok[e] = q, 0.0
                 if q > 0:
-                    _rows_of(p, o, r, e, k, given, nav_before, max(rate_count[kind], 1), c_of, nu, R)
-                    free = math.inf if kind == FIX and r.t[k] - rejected_from >= o.timeout else -math.inf
-                    nis, ok = _absorb(p, o, S, nu, R, r.var[e], at[:q], free, dx, fix_nu[e], fix_S[e])
+                    event = (kind, events.tau[e], events.z[e], events.settings[e])
+                    _rows_of(p, o, r.t[k] - r.t[k - 1], event, given, nav_before, max(rate_count[kind], 1), c_of, nu, R)
+                    free = math.inf if kind == FIX and r.t[k] - rejected_from >= o.plan.timeout else -math.inf
+                    nis, ok = _absorb(p, o, S, nu, R, events.var[e], at[:q], free, dx, out.nu[e], out.S[e])
                     if ok < 0:
                         return -1
-                    fix_nis[e], fix_ok[e] = nis, float(ok)
+                    out.nis[e], out.ok[e] = nis, float(ok)
                     if kind == FIX:
                         rejected_from = math.inf if ok > 0 else min(rejected_from, r.t[k])
                     if ok > 0:
@@ -522,16 +502,16 @@ def fly(p: Points, o: Design, r: Record, nav: Array, x: Array, S: Array, cov_epo
                     total = 0.0
                     for a in range(min(i, j) + 1):
                         total += S[i, a] * S[j, a]
-                    out_P[cov, i, j] = total
+                    out.P[cov, i, j] = total
             cov += 1
-        if k % o.output_every == 0 or k == r.t.size - 1:
+        if k % o.plan.output_every == 0 or k == r.t.size - 1:
             for i in range(10):
-                out_nav[row, i] = p.nav[0, i, 0]
+                out.nav[row, i] = p.nav[0, i, 0]
             for i in range(n):
-                out_var[row, i] = 0.0
+                out.var[row, i] = 0.0
                 for j in range(i + 1):
-                    out_var[row, i] += S[i, j] * S[i, j]
+                    out.var[row, i] += S[i, j] * S[i, j]
             for s in range(m):
-                out_x[row, s] = p.x[0, s, 0]
+                out.x[row, s] = p.x[0, s, 0]
             row += 1
     return 0

@@ -18,21 +18,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from insemu import lanes
 from insemu.errors import InputError
 from insemu.filters.aids import AIDS, CODES
 from insemu.filters.buffers import Buffers
-from insemu.filters.ekf import DIVERGED, LooselyCoupledEKF
-from insemu.filters.events import Events
+from insemu.filters.ekf import DIVERGED, Flight, LooselyCoupledEKF
 from insemu.filters.families import Family
-from insemu.filters.options import InitialSigma
+from insemu.filters.packed import Start
 from insemu.filters.results import FilterResult
-from insemu.filters.sigma_points import Design, Points, Record, fly
+from insemu.filters.sigma_points import Design, Points, fly
 from insemu.lanes import LANES
-from insemu.records import AidRecord, GnssRecord, ImuRecord, Trajectory
-from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
 
@@ -86,6 +83,7 @@ class UnscentedKalmanFilter(LooselyCoupledEKF):
     def __init__(self, belief: Any, dt: float, *, alpha: float = 0.5, beta: float = 2.0, **parts: Any) -> None:
         super().__init__(belief, dt, **parts)
         self.scaled = _Scaled(alpha, beta)
+        self.settings = vars(self.scaled)
         for there, what in (
             (self.options.store != "none", "nodes for a smoother"),
             (self.options.family != Family(), "families of the extended Kalman filter"),
@@ -100,37 +98,17 @@ class UnscentedKalmanFilter(LooselyCoupledEKF):
         """It is not linearized."""
         return False
 
-    def _again(self, dt: float, options: Any) -> UnscentedKalmanFilter:
-        return UnscentedKalmanFilter(
-            self._belief,
-            dt,
-            lever_arm=self.lever_arm,
-            gravity=self.gravity,
-            gnss_sigma=self.gnss_sigma,
-            options=options,
-            **vars(self.scaled),
-        )
+    def _fly(self, flights: Sequence[Flight], *, side_by_side: bool) -> list[FilterResult | InputError]:
+        """One after the other: the lanes are the points'."""
+        return [self._flown(flight) for flight in flights]
 
-    def run(
-        self,
-        imu: ImuRecord,
-        gnss: GnssRecord | None,
-        initial: NavState | Trajectory,
-        initial_sigma: InitialSigma | ArrayLike,
-        *,
-        aids: Sequence[AidRecord] = (),
-        initial_states: ArrayLike | None = None,
-    ) -> FilterResult:
-        """As :meth:`LooselyCoupledEKF.run`."""
-        here = self.at_rate_of(imu)
-        if here is not self:
-            return here.run(imu, gnss, initial, initial_sigma, aids=aids, initial_states=initial_states)
+    def _flown(self, f: Flight) -> FilterResult | InputError:
+        """One record through the compiled loop of the points."""
         started = time.perf_counter()
         a, opts, n = self.augmentation, self.options, self.layout.n
-        f = self._prepared(imu, gnss, initial, initial_sigma, aids, initial_states)
-        events: Events = f.events
-        cov_epoch = self.covariance_epochs(f.t)
-        b = Buffers.of(n, f.t.size, opts, events, cov_epoch.size, 0)
+        samples, start, events = f.samples, f.start, f.events
+        plan = self.plan(samples.t, events)
+        b = Buffers.of(n, samples.t.size, opts, events, plan.cov_epoch.size, 0)
         groups = -(-(2 * n + 1) // LANES)
         below = -(-max(6 + a.m, events.z.shape[1]) // LANES)
         points = Points(
@@ -144,34 +122,13 @@ class UnscentedKalmanFilter(LooselyCoupledEKF):
         gamma = self.scaled.alpha * np.sqrt(n)
         roots = np.stack([_root(a.power(count + 1)[1]) for count in range(opts.covariance_every)])
         design = Design(
-            a.Phi, roots, a.axis, a.c, a.driver, a.white, self.lever_arm, self.installation()[0], self._gravity, self.thresholds(events.z.shape[1]),
-            opts.gate_timeout, opts.covariance_every, opts.output_every, gamma, self.scaled.beta - self.scaled.alpha**2, _angles(events.z.shape[1]),
+            a.Phi, roots, a.axis, a.c, a.driver, a.white, plan, gamma, self.scaled.beta - self.scaled.alpha**2, _angles(events.z.shape[1])
         )  # fmt: skip
-        record = Record(
-            f.t, f.gyro, f.accel, events.epoch, events.kind, events.since, events.tau, events.z, events.var, events.settings, events.next_alike,
-            events.first_of,
-        )  # fmt: skip
-        nav, x, S = np.concatenate([f.nav, np.zeros(3)]), f.x0.copy(), _root(f.P0)
-        if (
-            fly(points, design, record, nav, x, S, cov_epoch, (b.nav, b.var, b.x, b.nu, b.S, b.nis, b.dof, b.ok, b.P))
-            or not np.isfinite(nav).all()
-        ):
-            raise InputError(DIVERGED)
-        b.last[:] = S @ S.T
-        return b.result(self.layout, f.t, opts, events, cov_epoch, 0, time.perf_counter() - started)
-
-    def run_many(
-        self, imus: Any, gnsses: Any, initials: Any, initial_sigma: Any, *, aids: Any = None, initial_states: Any = None
-    ) -> list[Any]:
-        """As :meth:`LooselyCoupledEKF.run_many`, one after the other."""
-        out: list[Any] = []
-        for k, given in enumerate(zip(imus, gnsses, initials, strict=True)):
-            beside, begun = () if aids is None else aids[k], None if initial_states is None else initial_states[k]
-            try:
-                out.append(self.run(*given, initial_sigma, aids=beside, initial_states=begun))
-            except InputError as error:
-                out.append(error)
-        return out
+        start = Start(np.concatenate([start.nav, np.zeros(3)]), start.x.copy(), _root(start.P))
+        if fly(points, design, samples, events, start, b) or not np.isfinite(start.nav).all():
+            return InputError(DIVERGED)
+        b.last[:] = start.P @ start.P.T
+        return b.result(self.layout, samples.t, opts, events, plan.cov_epoch, 0, time.perf_counter() - started)
 
 
 def _angles(width: int) -> Array:

@@ -39,9 +39,11 @@ from insemu.report.gap import (
     shaking_said,
     shown_value,
 )
+from insemu.report.integrity import integrity_sections, region_rows
 from insemu.report.plotting import plot
 from insemu.report.predictive import render_check
 from insemu.report.preview import PREVIEWED, preview_notes, preview_rows, render_preview
+from insemu.report.referee import drift_rows, power_rows, referee_answer, render_referee, start_rows, world_rows
 from insemu.report.regressors import coefficient_rows, render_regressed
 from insemu.report.require import aid_rows, frontier_rows, place_rows, render_require, require_notes, require_rows
 from insemu.report.serve import server
@@ -104,6 +106,7 @@ __all__ = [
     "constant_rows",
     "draw_gap",
     "draw_track",
+    "drift_rows",
     "drives_answer",
     "effect_name",
     "factor_rows",
@@ -116,16 +119,20 @@ __all__ = [
     "following_answer",
     "frontier_rows",
     "gap_headline",
+    "integrity_sections",
     "is_better",
     "judged_rows",
     "outage_rows_of",
     "place_rows",
     "plot",
     "pooled_rank_line",
+    "power_rows",
     "preview_notes",
     "preview_rows",
     "rank_lines",
     "reason_rows",
+    "referee_answer",
+    "region_rows",
     "regression_answer",
     "render_array",
     "render_budgets",
@@ -139,6 +146,7 @@ __all__ = [
     "render_gap",
     "render_preview",
     "render_reckoning",
+    "render_referee",
     "render_regressed",
     "render_regression",
     "render_require",
@@ -157,6 +165,7 @@ __all__ = [
     "smoother_rows",
     "solve_answer",
     "solve_rows",
+    "start_rows",
     "sweep_answer",
     "sweep_rows",
     "telling_rows",
@@ -167,4 +176,5 @@ __all__ = [
     "vehicle_rows",
     "weight_rows",
     "weighting_rows",
+    "world_rows",
 ]

@@ -161,6 +161,7 @@ def render_regression(
     *,
     source: str = "",
     about: Mapping[str, str] | None = None,
+    more: Sequence[page.Section] = (),
 ) -> Path:
     """Write the page of a check against a baseline: what changed, as a difference, then every figure.
 
@@ -175,6 +176,8 @@ def render_regression(
         The scenario's file.
     about : mapping, optional
         What was compared: name to value.
+    more : sequence of Section
+        Of the same results.
     """
     changed = [c for c in changes if c.significant]
     cards = []
@@ -222,7 +225,7 @@ def render_regression(
     every = page.Folded("Every figure", [page.Table(header, [row(c) for c in changes], left=2)])
     return page.render(
         "Designs against their baseline",
-        [page.Section("What changed", [*tables, chart, every])],
+        [page.Section("What changed", [*tables, chart, every]), *more],
         path,
         kind="regress",
         source=source,

@@ -262,7 +262,9 @@ def _states(s: Solution) -> Table:
     return Table(["state", "estimate", "sigma", "sigma at the start", "unit", "learned"], rows, caption)
 
 
-def render_solution(s: Solution, folder: Path, compared: Comparison | None = None, scenario: str = "") -> Path:
+def render_solution(
+    s: Solution, folder: Path, compared: Comparison | None = None, scenario: str = "", more: Sequence[Section] = ()
+) -> Path:
     """Write ``index.html`` and its figures.
 
     Parameters
@@ -273,6 +275,8 @@ def render_solution(s: Solution, folder: Path, compared: Comparison | None = Non
         With the designs of a scenario.
     scenario : str
         Its name.
+    more : sequence of Section
+        Of the same recording.
 
     Returns
     -------
@@ -316,6 +320,7 @@ def render_solution(s: Solution, folder: Path, compared: Comparison | None = Non
             )
         )
     sections += [
+        *more,
         Section("Calibration", [Items(calibration_lines(s)), _states(s)]),
         Section("Over time", charts_over_time(s)[1:]),
         Section("Does it know its error?", [Items(consistency_words_of(s))]),

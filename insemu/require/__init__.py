@@ -15,6 +15,7 @@ from insemu.require.answer import (
     wish_of,
 )
 from insemu.require.asked import QUANTITIES, Requirement, asked, quantile
+from insemu.require.integrity import REGIONS, Guard, guards, protection_factor, recorded_guard
 from insemu.require.sensors import FIGURES, UNITS, Sensor, completed, shown
 from insemu.require.track import Track, aids_of, prepared
 
@@ -23,9 +24,11 @@ __all__ = [
     "FIGURES",
     "PLANES",
     "QUANTITIES",
+    "REGIONS",
     "UNITS",
     "Alternative",
     "Answer",
+    "Guard",
     "Place",
     "Question",
     "Requirement",
@@ -37,8 +40,11 @@ __all__ = [
     "completed",
     "figures_text",
     "flights",
+    "guards",
     "prepared",
+    "protection_factor",
     "quantile",
+    "recorded_guard",
     "require",
     "scenario_of",
     "shown",

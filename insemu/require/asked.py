@@ -23,6 +23,7 @@ QUANTITIES: dict[str, tuple[tuple[int, ...], str]] = {
     "velocity": ((3, 4), "m/s"),
     "heading": ((8,), "rad"),
 }
+_SHORT = re.compile(r"^\s*([\d.]+\s*%)\s*<\s*(.+?)\s+after\s+(.+?)\s*$")
 _TEXT = re.compile(r"^\s*(\w+)\s*<\s*(.+?)(?:\s+at\s+(.+?))?\s+after\s+(.+?)\s*$")
 #: Share where none is given; outages outside of these limits (s) are no question of the noise of an IMU.
 USUAL_SHARE, SHORTEST, LONGEST = 0.95, 1.0, 3600.0
@@ -53,7 +54,7 @@ class Requirement:
 
     @classmethod
     def parse(cls, text: str) -> Requirement:
-        """Read a requirement.
+        """Read a requirement; ``95 % < 1 m after 30 s`` is one of the horizontal position.
 
         Raises
         ------
@@ -65,6 +66,9 @@ class Requirement:
         >>> Requirement.parse("planimetric < 1 m at 95 % after 30 s").seconds
         30.0
         """
+        if short := _SHORT.match(text):
+            share, limit, after = short.groups()
+            text = f"planimetric < {limit} at {share} after {after}"
         found = _TEXT.match(text)
         if found is None:
             raise InputError(f"found '{text}', expected a requirement such as 'planimetric < 1 m at 95 % after 30 s'")

@@ -70,7 +70,7 @@ class Reader:
         place : Place
         count : int, optional
         """
-        if not isinstance(value, list) or (count is not None and len(value) != count):
+        if not isinstance(value, list | tuple) or (count is not None and len(value) != count):
             raise self.fail(
                 place, f"found {shown(value)}, expected {'' if count is None else f'{count} '}numbers in brackets"
             )

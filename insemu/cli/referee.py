@@ -1,0 +1,68 @@
+"""``insemu referee``: whether a filter, of whatever kind, states its own errors."""
+
+from __future__ import annotations
+
+import typer
+
+from insemu.cli.options import argument, option
+
+
+def command(
+    filters: list[str] = argument("[FILTER...]", default=None),
+    worlds: str = option("--worlds", ""),
+    realizations: int | None = option("--realizations", None, "Flights of a filter in each world; default 48."),
+    seed: int | None = option("--seed", None, "Seed of all random draws; default 1."),
+    false_alarm: float = option("--false-alarm", 0.01, "Probability that a right filter is accused of anything."),
+    workers: int | None = option("--workers", None),
+    out: str = option("--output", "", "Folder for page, referee.json and timing.json; default results/referee."),
+    as_json: bool = option("--json", False),
+) -> None:
+    """Fly filters through worlds of many kinds and say whether they state their own errors, where they do not, and what would have been found.
+
+    Without a name all families that come with insemu. Exits with 1 where a filter does not state its errors. The page and referee.json are the same
+    to the byte for the same seed; what an epoch costs is in timing.json.
+    """
+    import json
+    from pathlib import Path
+
+    from rich.console import Console
+
+    from insemu.cli.printing import print_table
+    from insemu.evaluate import only_writer
+    from insemu.filters import FAMILIES
+    from insemu.referee import REALIZATIONS, SEED, referee
+    from insemu.report import referee_answer, render_referee, start_rows, world_rows
+    from insemu.whole import put
+
+    asked = filters or [*FAMILIES, "ukf"]
+    folder, console, aside = Path(out or "results/referee"), Console(), Console(stderr=True)
+    with only_writer(folder), aside.status("") as status:
+        found = referee(
+            asked,
+            names=[n.strip() for n in worlds.split(",") if n.strip()],
+            realizations=realizations or REALIZATIONS,
+            seed=SEED if seed is None else seed,
+            false_alarm=false_alarm,
+            workers=workers or 1,
+            progress=lambda name, world: status.update(f"{name}: {world}"),
+        )
+        document = json.dumps([j.to_json() for j in found], indent=1, allow_nan=False)
+        put(folder / "referee.json", document + "\n")
+        seconds = {j.name: j.seconds_per_epoch for j in found}
+        put(folder / "timing.json", json.dumps({"cpu_seconds_per_epoch": seconds}, indent=1) + "\n")
+        page = render_referee(found, folder / "index.html", source=", ".join(j.name for j in found))
+    if as_json:
+        typer.echo(document)
+    else:
+        console.print(referee_answer(found), style="bold", soft_wrap=True, highlight=False, markup=False)
+        for j in found if len(found) > 1 else ():
+            console.print(f"  {j.verdict}", soft_wrap=True, highlight=False, markup=False)
+        print_table(console, "First lie", *world_rows(found), left=len(found) + 1, fit=True, gap=lambda row: False)
+        print_table(
+            console, "Starts that converge", *start_rows(found), left=len(found) + 1, fit=True, gap=lambda row: False
+        )
+        for name, value in seconds.items():
+            console.print(f"{name}: {1e6 * value:.3g} us of CPU an epoch", soft_wrap=True, highlight=False)
+        console.print(f"\nPage: {page} (referee.json next to it)", soft_wrap=True, highlight=False)
+    if any(j.accused for j in found):
+        raise typer.Exit(1)

@@ -1,0 +1,36 @@
+"""Any filter against the truth in a table of worlds: whether it states its own errors, and what would have been found."""
+
+from insemu.referee.flights import Drift, Flights
+from insemu.referee.judge import (
+    FALSE_ALARM,
+    GROUPS,
+    POWER,
+    REALIZATIONS,
+    SEED,
+    Judged,
+    Judgement,
+    Lie,
+    judged,
+    looked_at,
+    referee,
+)
+from insemu.referee.worlds import World, starts, worlds
+
+__all__ = [
+    "FALSE_ALARM",
+    "GROUPS",
+    "POWER",
+    "REALIZATIONS",
+    "SEED",
+    "Drift",
+    "Flights",
+    "Judged",
+    "Judgement",
+    "Lie",
+    "World",
+    "judged",
+    "looked_at",
+    "referee",
+    "starts",
+    "worlds",
+]
