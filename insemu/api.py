@@ -98,7 +98,7 @@ def examine(
 
 
 @overload
-def fit(
+def fit(  # type: ignore[overload-overlap]
     data: Series | NDArray[np.float64],
     model: NoiseModel | Process | str,
     method: Method = "gmwm",
@@ -119,7 +119,7 @@ def fit(
     name: str = "signal",
 ) -> FitResult: ...
 @overload  # a keyword that no overload has is named by this one
-def fit(  # type: ignore[overload-overlap]
+def fit(
     data: Signal,
     model: NoiseModel | Process | str,
     method: Method = "gmwm",
@@ -140,7 +140,7 @@ def fit(  # type: ignore[overload-overlap]
     name: str = "signal",
     **no_such_keyword: Never,
 ) -> ByAxis[FitResult]: ...
-def fit(
+def fit(  # type: ignore[misc]
     data: Signal,
     model: NoiseModel | Process | str,
     method: Method = "gmwm",
