@@ -1,6 +1,8 @@
 """What ``insemu open`` says of files as users have them and of recordings spoilt on purpose; every command that it prints is applied.
 
-python -m benchmarks.intake [cases] [spoils] [right]      all three without a name
+python -m benchmarks.intake [cases] [spoils] [right] [lags]      the first three without a name
+
+`lags` calibrates what is said of late velocities and late sensors: what is found of lags that are known, and of none.
 """
 
 from __future__ import annotations
@@ -15,11 +17,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import scipy
 
 from insemu import earth, rotation
 from insemu.errors import InputError
 from insemu.formats import Opened, open_files, write
-from insemu.intake import Card, examine, take
+from insemu.intake import Card, examine, take, velocity_lag
 from insemu.records import GnssRecord, ImuRecord, Recording
 from tests.shared_data import shared
 from tests.wrong_recordings import flown, right
@@ -435,11 +438,73 @@ def rights(folder: Path) -> Iterator[tuple[str, str, str]]:
         yield name, verdict, card.text(("odd", "wrong"))
 
 
+# -------------------------------------------------------------------------------------------------------------------- lags
+
+#: Lags that are put on velocities and on one sensor, s.
+OF_VELOCITIES, OF_SENSORS = (0.0, 0.1, 0.3, -0.5, 1.0, 2.0), (0.0, 0.1, -0.3, 0.5, 0.8)
+#: Length of the pieces in which no lag should be found, s.
+PIECE_S = 40.0
+
+
+def _velocities_late(g: GnssRecord, lag: float) -> GnssRecord:
+    """The same fixes with velocities that are late, from a spline."""
+    assert g.vel_ned is not None
+    g = g.rows(np.isfinite(g.vel_ned).all(axis=1))
+    way = scipy.interpolate.CubicSpline(g.t, g.vel_ned)
+    g = g.rows((g.t - lag > g.t[0]) & (g.t - lag < g.t[-1]))
+    return replace(g, vel_ned=way(g.t - lag))
+
+
+def lags(folder: Path) -> Iterator[tuple[str, str, str]]:
+    """Name, verdict and what is found of each lag of the velocities and of each sensor of right recordings."""
+    whole = right() | {n: open_files(shared(f"real/{n}.npz")) for n in ("rtkexp_drive", "ublox_mixed_nominal")}
+    moving = {k: v for k, v in whole.items() if v.gnss is not None and v.gnss.vel_ned is not None and "static" not in k}
+    for name, data in moving.items():
+        g, imu = data.gnss, data.imu
+        assert g is not None and imu is not None
+        own = velocity_lag(g)[0]  # a real receiver has one
+        for lag in OF_VELOCITIES:
+            found, _ = velocity_lag(_velocities_late(g, lag))
+            verdict = (
+                "velocities: not found"
+                if not found
+                else "velocities: right"
+                if abs(found - own - lag) < 0.2
+                else "velocities: wrong"
+            )
+            yield (
+                f"{name}, velocities {lag:+.1f} s",
+                "velocities: none" if found == own and not lag else verdict,
+                f"{found:+.2f}",
+            )
+        if not own:
+            for begin in np.arange(g.t[0], g.t[-1] - PIECE_S, 0.5 * PIECE_S):
+                found, _ = velocity_lag(g.rows((g.t >= begin) & (g.t < begin + PIECE_S)))
+                yield f"{name}, from {begin:.0f} s", "pieces: found" if found else "pieces: none", f"{found:+.2f}"
+        for lag in OF_SENSORS:
+            late = (
+                imu
+                if not lag
+                else replace(imu, accel=np.column_stack([np.interp(imu.t - lag, imu.t, c) for c in imu.accel.T]))
+            )
+            lines = [str(x) for x in examine(replace(data, imu=late)).lines if "accelerometer comes" in x.text]
+            said = re.search(r"accelerometer comes ([\d.]+) s (late|early)", " ".join(lines))
+            found = 0.0 if said is None else float(said[1]) * (1.0 if said[2] == "late" else -1.0)
+            verdict = (
+                "sensor: right"
+                if abs(found - lag) < 0.1 and (found != 0.0 or not lag)
+                else "sensor: not found"
+                if not found
+                else "sensor: wrong"
+            )
+            yield f"{name}, accelerometer {lag:+.1f} s", verdict, f"{found:+.2f}"
+
+
 def main(arguments: list[str]) -> None:
     """Print a line for each and the sums."""
     only = next((a.removeprefix("only=") for a in arguments if a.startswith("only=")), "")
-    parts = {"cases": cases, "spoils": lambda f: spoils(f, only), "right": rights}
-    for part in [a for a in arguments if a in parts] or list(parts):
+    parts = {"cases": cases, "spoils": lambda f: spoils(f, only), "right": rights, "lags": lags}
+    for part in [a for a in arguments if a in parts] or list(parts)[:3]:
         counts: Counter[str] = Counter()
         with tempfile.TemporaryDirectory() as folder:
             for name, verdict, why in parts[part](Path(folder)):

@@ -11,13 +11,13 @@ from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, Never, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError
-from insemu.given import Axes, PandasTable, PolarsTable, Quantity, Signal, Table, file_of, si, signals
+from insemu.given import PandasTable, PolarsTable, Quantity, Signal, Table, file_of, si, signals
 from insemu.records import Recording, Series
 from insemu.shown import ByAxis
 
@@ -98,7 +98,7 @@ def examine(
 
 
 @overload
-def fit(
+def fit(  # type: ignore[overload-overlap]
     data: Series | NDArray[np.float64],
     model: NoiseModel | Process | str,
     method: Method = "gmwm",
@@ -118,9 +118,9 @@ def fit(
     unit: str = "",
     name: str = "signal",
 ) -> FitResult: ...
-@overload
+@overload  # a keyword that no overload has is named by this one
 def fit(
-    data: Axes,
+    data: Signal,
     model: NoiseModel | Process | str,
     method: Method = "gmwm",
     *,
@@ -138,8 +138,9 @@ def fit(
     seed: int = 0,
     unit: str = "",
     name: str = "signal",
+    **no_such_keyword: Never,
 ) -> ByAxis[FitResult]: ...
-def fit(
+def fit(  # type: ignore[misc]
     data: Signal,
     model: NoiseModel | Process | str,
     method: Method = "gmwm",

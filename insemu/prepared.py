@@ -10,13 +10,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
 
-from insemu import earth
 from insemu.errors import InputError
 from insemu.filters import BRIDGED_S, Alignment, How, LooselyCoupledEKF, cut, start, with_standard_deviations
-from insemu.intake import Card
+from insemu.intake import Card, velocity_lag
 from insemu.lost import restored
 from insemu.records import AidRecord, GnssRecord, ImuRecord, InitialState, Preparation, Recording, Trajectory
 from insemu.rotation import dcm_from_rpy
@@ -26,9 +24,7 @@ from insemu.units import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
-#: Lags of the velocities behind the positions that are tried, s.
-LAGS = np.arange(-40, 41) * 0.0125
-#: Velocities are late where they fit the positions at another time than their own, with less than this share of what is left at their own.
+#: Velocities that lag are left out where less than this share of their misfit to the positions is left at the lag: then positions tell more.
 LAGGING = 0.7
 #: Steps that are longer than so many usual ones are gaps.
 SKIPPED = 2.5
@@ -278,13 +274,14 @@ def prepared(recording: Recording, stated: Stated = Stated()) -> Drive:
     inside = (gnss.t >= imu.t[0]) & (gnss.t <= imu.t[-1]) & np.isfinite(gnss.llh).all(axis=1)
     if inside.sum() < FEWEST:
         raise InputError(f"has {int(inside.sum())} fixes within its IMU data, expected at least {FEWEST}", where=where)
-    lag = velocity_lag(gnss.rows(inside)) if stated.with_velocity else None
-    if lag is not None:
+    lag, share = velocity_lag(gnss.rows(inside)) if stated.with_velocity else (0.0, 1.0)
+    if lag:
+        dropped = stated.corrected and share < LAGGING
         said.append(
             f"the velocities of the fixes are {abs(lag):.3g} s {'late' if lag > 0 else 'early'} against their positions (means over the time "
-            f"before their stamps are): they {'are left out' if stated.corrected else 'stay'}"
+            f"before their stamps are): they {'are left out' if dropped else 'stay'}"
         )
-        gnss = gnss.without_velocity() if stated.corrected else gnss
+        gnss = gnss.without_velocity() if dropped else gnss
     drive = Drive.of(replace(recording, imu=imu, gnss=gnss), stated)
     flown = (measured.imu.t >= imu.t[0] + late) & (measured.imu.t <= imu.t[-1] + late)
     measured = replace(measured, imu=measured.imu if flown.all() else measured.imu.rows(flown))
@@ -347,21 +344,3 @@ def _without_gaps(imu: ImuRecord, shortest: float, said: list[str], where: str) 
     if crossed:
         said.append(f"{len(crossed)} gap(s) in the IMU data, up to {max(crossed):.2g} s, are each crossed in one step")
     return part
-
-
-def velocity_lag(gnss: GnssRecord) -> float | None:
-    """By how much velocities are late against the positions, s; None where they fit best at their own time, or nothing tells.
-
-    The derivative of a spline through the positions at ``t - lag`` is held against the velocity at ``t``.
-    """
-    if gnss.vel_ned is None:
-        return None
-    good = np.isfinite(gnss.vel_ned[:, :2]).all(axis=1)
-    t, v = gnss.t[good], gnss.vel_ned[good, :2]
-    if t.size < 30:
-        return None
-    way = scipy.interpolate.CubicSpline(t, earth.position_difference(gnss.llh[good], gnss.llh[good][0])[:, :2])
-    inside = (t > t[0] + LAGS[-1]) & (t < t[-1] - LAGS[-1])
-    left = np.array([np.median(np.abs(v[inside] - way(t[inside] - lag, 1))) for lag in LAGS])
-    k = int(np.argmin(left))
-    return float(LAGS[k]) if left[k] < LAGGING * left[LAGS.size // 2] else None

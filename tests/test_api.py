@@ -5,11 +5,12 @@ from __future__ import annotations
 import ast
 import inspect
 import json
+import re
 import subprocess
 import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, get_overloads
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -80,18 +81,38 @@ reveal_type(ins.solve("town.npz", lever_arm=(0.0, 0.0, 1.0)))
 """
 
 
+#: Examples of pages, as marked blocks or prompts of Python.
+BLOCK = re.compile(r"^```(?:python|py|\{code-block\} python\n(?::.*\n)*)\n(.*?)^```", re.S | re.M)
+
+
 @pytest.mark.slow(reason="reads the types of the whole package, a minute without mypy's cache")
-def test_a_type_checker_knows_what_the_functions_return(tmp_path: Path) -> None:
+def test_a_type_checker_knows_what_the_functions_return_and_all_examples_of_the_docs(tmp_path: Path) -> None:
+    root = Path(ins.__file__).resolve().parent.parent
     (tmp_path / "examples.py").write_text(EXAMPLES)
+    for page in (root / "README.md", *(root / "docs").rglob("*.md")):
+        if blocks := BLOCK.findall(page.read_text(encoding="utf-8")):
+            (tmp_path / f"page_{page.stem}.py").write_text("\n\n".join(blocks), encoding="utf-8")
+    written = [*tmp_path.glob("*.py"), *(root / "docs/gallery").glob("*.py")]
+    assert len(written) > 25
     done = subprocess.run(
-        [sys.executable, "-m", "mypy", "--strict", str(tmp_path / "examples.py")],
-        cwd=Path(ins.__file__).resolve().parent.parent,
+        [sys.executable, "-m", "mypy", "--strict", *map(str, written)],
+        cwd=root,
         capture_output=True,
         text=True,
     )
     said = [line.split("Revealed type is ")[1] for line in done.stdout.splitlines() if "Revealed type is " in line]
     assert done.returncode == 0 and len(said) == EXAMPLES.count("reveal_type"), done.stdout
     assert not [line for line in said if "Any" in line]
+
+
+def test_overloads_of_fit_have_its_keywords_and_name_others() -> None:
+    """Checkers hide a misspelled keyword behind overloads; the last one takes it as a value that cannot be."""
+    own = inspect.signature(ins.fit).parameters
+    *first, last = ([p for p in inspect.signature(f).parameters.values()] for f in get_overloads(ins.fit))
+    assert [[(p.name, p.kind, p.default) for p in each] for each in (*first, last[:-1])] == [
+        [(p.name, p.kind, p.default) for p in own.values()]
+    ] * 2
+    assert last[-1].kind is inspect.Parameter.VAR_KEYWORD and last[-1].annotation == "Never"
 
 
 def test_what_goes_by_file_goes_by_object(tmp_path: Path, series: ins.Series) -> None:

@@ -21,8 +21,9 @@ from insemu.filters import smooth
 from insemu.formats import read_recording
 from insemu.formats import write as write_recording
 from insemu.gap import Nominal, session
+from insemu.intake import velocity_lag
 from insemu.noise import WN, NoiseModel
-from insemu.prepared import prepared, velocity_lag
+from insemu.prepared import prepared
 from insemu.records import GnssRecord, ImuRecord, Recording
 from insemu.report import solve_answer
 from insemu.scenario import load
@@ -297,13 +298,17 @@ def test_the_verdict_is_that_of_all_outages_and_of_the_innovations(solution: Sol
 
 
 def test_late_velocities_are_recognised(recording: Recording) -> None:
-    assert recording.gnss is not None and velocity_lag(recording.gnss) is None
-    t = np.arange(0.0, 120.0, 0.25)
+    assert recording.gnss is not None and velocity_lag(recording.gnss) == (0.0, 1.0)
+    t = np.arange(0.0, 400.0, 0.25)
     way = np.stack([60 * np.sin(0.2 * t), 60 * np.cos(0.31 * t), 0 * t], axis=1)
     late = t - 0.125
     speed = np.stack([12 * np.cos(0.2 * late), -18.6 * np.sin(0.31 * late), 0 * t], axis=1)
     fixes = GnssRecord(t, earth.move(np.tile([0.8, 0.1, 200.0], (t.size, 1)), way), speed)
-    assert velocity_lag(fixes) == pytest.approx(0.125, abs=0.03)
+    lag, share = velocity_lag(fixes)
+    assert lag == pytest.approx(0.125, abs=0.03) and share < 0.1
+    rough = replace(fixes, llh=earth.move(fixes.llh, 2.0 * np.random.default_rng(1).standard_normal(fixes.llh.shape)))
+    lag, share = velocity_lag(replace(rough, vel_ned=np.roll(rough.vel_ned, 4, axis=0)).rows(slice(4, None)))
+    assert lag == pytest.approx(1.125, abs=0.2) and share > 0.1
 
 
 def test_the_longest_stretch_without_a_gap_is_solved(recording: Recording) -> None:

@@ -35,7 +35,8 @@ Array = NDArray[np.float64]
 STRETCHES = (5.0, 10.0, 20.0, 40.0, 80.0)
 #: Where the first motion does not tell the heading, later ones so many seconds apart may.
 AGAIN_S = 40.0
-#: A stretch is long enough when the heading's standard deviation is below this, rad; the filter goes on to the second, or ends at the third.
+#: A stretch is long enough when the heading's standard deviation is below this, rad; the filter goes on to the second, or ends at the third
+#: (`python -m tests.start_cases 24`).
 COARSE, FINE, WORST = np.deg2rad([10.0, 2.0, 5.0])
 #: Normalised residuals or innovations squared per degree of freedom from which least squares or the filter is on a wrong solution.
 LOST = 9.0

@@ -64,7 +64,8 @@ def _velocity(part: Columns) -> Array | None:
     return np.asarray(v * [1.0, 1.0, -1.0]) if frame == "neu" else v
 
 
-#: A receiver leaves the course out, or repeats the last one, where its motion is noise: below this speed a repeated course is none, m/s.
+#: A receiver leaves the course out, or repeats the last one, where its motion is noise: below this speed a repeated course is none, m/s. There the
+#: course of a velocity of 0.05 m/s is noise of 3 deg: two written to 0.1 deg are equal by chance once in a hundred.
 HELD_COURSE = 1.0
 #: Without a course a receiver that is slower than this stands, m/s.
 STANDING = 0.2

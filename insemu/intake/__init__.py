@@ -20,6 +20,7 @@ from insemu.intake import fixes as fixed
 from insemu.intake.card import Card, Level, Line
 from insemu.intake.fixes import vehicle_axes
 from insemu.intake.motion import track_of
+from insemu.intake.receiver import velocity_lag
 from insemu.records import AXES, AidRecord, ImuRecord, Reading, Recording
 from insemu.variance import missing_values, unit_report
 
@@ -34,6 +35,7 @@ __all__ = [
     "take",
     "track_of",
     "vehicle_axes",
+    "velocity_lag",
 ]
 
 _Data = TypeVar("_Data")

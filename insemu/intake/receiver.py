@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
 from insemu import earth
@@ -25,10 +26,13 @@ CLIMB_S = 20.0
 OPPOSED, RATIO = 0.8, 0.15
 #: Turn of the velocities against the positions that is said, rad (about grid north instead of true north).
 TURNED = np.deg2rad(1.5)
-#: Delays of the velocities against the positions that are tried, s; shortest that is reported; share of the misfit that must remain at most.
-DELAYS, LATE_S, LATE_SHARE = np.round(np.arange(-2.5, 2.55, 0.1), 1), 0.3, 0.6
-#: Rounding of the positions that is reported, m (standard deviation); decimals of a degree that are tried; fewest different positions.
-ROUNDED_M, DECIMALS, DISTINCT = 1.0, range(2, 7), 20
+#: Lags of the velocities behind the positions that are tried, s: all of the first, then those of the second about the best.
+LAGS, NEARER = np.round(np.arange(-2.5, 2.55, 0.1), 1), 0.0125 * np.arange(-8, 9)
+#: Gain in log-likelihood from which velocities lag, nats; shortest lag that is said, s; fewest steps of the positions. Right recordings and pieces of
+#: them gain 9 nats at most (a real receiver 21); `python -m benchmarks.intake lags` counts what is found.
+LAG_NATS, LATE_S, TOLD = 20.0, 0.1, 30
+#: Decimals of a degree that are too few: four are steps of 11 m.
+DECIMALS = range(2, 5)
 #: Lowest dry land, m: heights below are negated, or of another unit.
 LOWEST = -430.0
 #: Held positions: shortest, s, and how far the velocities go meanwhile, m; a jump: m and times the scatter.
@@ -93,16 +97,33 @@ def agreement(gnss: GnssRecord) -> Agreement | None:
     # a reading and its negative leave the same: one that points backwards explains nothing
     best = min(out, key=lambda n: out[n][1] if out[n][0] > 0.0 else np.inf)
     declared = out["as declared"]
-    late = _late(moved, own, floor, declared[1])
-    return Agreement(*declared, best, *out[best], _climbing(gnss, own), _turned(moved, own, declared[1]), late)
+    turn, late = _turned(moved, own, declared[1]), velocity_lag(gnss)[0]
+    return Agreement(*declared, best, *out[best], _climbing(gnss, own), turn, late)
 
 
-def _late(moved: Track, own: Track, floor: float, residual: float) -> float:
-    """Delay of the velocities against the motion of the positions, s; 0 where none explains much more."""
-    fits = [_fit(moved, replace(own, t=own.t - late), own.velocity, floor) for late in DELAYS]
-    k = int(np.argmin([rest for _, rest in fits]))
-    explains = fits[k][1] < LATE_SHARE * residual and near(fits[k][0], 1.0, NEAR)
-    return float(DELAYS[k]) if explains and abs(DELAYS[k]) >= LATE_S else 0.0
+def velocity_lag(gnss: GnssRecord) -> tuple[float, float]:
+    """By how much velocities are late against the positions, s, and the share of their misfit that is left there; 0, 1 where nothing tells.
+
+    The way between two positions is held against the integral of a spline through the velocities; the mean over the nearer nine tenths decides.
+    """
+    own, moved = velocity_track(gnss), positions_track(gnss)
+    if own is None:
+        return 0.0, 1.0
+    edge = 0.5 * moved.span + LAGS[-1] + NEARER[-1]
+    inside = (moved.t > own.t[0] + edge) & (moved.t < own.t[-1] - edge)
+    if inside.sum() < TOLD:
+        return 0.0, 1.0
+    way = scipy.interpolate.CubicSpline(own.t, own.velocity[:, :2]).antiderivative()
+    ends, there = moved.t[inside] + 0.5 * moved.span * np.array([[-1.0], [1.0]]), moved.velocity[inside, :2]
+
+    def left(lag: float) -> float:
+        rest = np.sort(np.abs(there - np.diff(way(ends + lag), axis=0)[0] / moved.span), axis=None)
+        return float(rest[: int(0.9 * rest.size)].mean())
+
+    lag = min(min(LAGS, key=left) + NEARER, key=left)
+    share = left(lag) / max(left(0.0), 1e-300)
+    late = abs(lag) >= LATE_S and -there.size * np.log(max(share, 1e-300)) > LAG_NATS
+    return (float(lag), share) if late else (0.0, 1.0)
 
 
 def _turned(moved: Track, own: Track, left: float) -> float:
@@ -233,12 +254,12 @@ def _rounded(gnss: GnssRecord, llh: Array) -> list[Line]:
     level = llh[:, :2]
     exact = (d for d in DECIMALS if np.abs(level * 10.0**d - np.round(level * 10.0**d)).max() < 1e-6)
     decimals = next(exact, None)
-    if decimals is None or len(np.unique(level, axis=0)) < DISTINCT:
+    if decimals is None or len(np.unique(level, axis=0)) == 1:
         return []
     step = float(np.deg2rad(10.0**-decimals)) * earth.A
     known = np.empty(0) if gnss.pos_std_ned is None else gnss.pos_std_ned[:, :2][np.isfinite(gnss.pos_std_ned[:, :2])]
     stated = float(np.median(known)) if known.size else 0.0
-    if step / np.sqrt(12.0) < max(ROUNDED_M, stated):
+    if step / np.sqrt(12.0) < stated:
         return []
     return [Line("fixes", "odd", f"latitude and longitude have {decimals} decimals of a degree: steps of {step:.2g} m")]
 
@@ -277,7 +298,7 @@ def _velocities(gnss: GnssRecord, found: Agreement | None, unstated: bool) -> li
     if found.late:
         word = "late" if found.late > 0.0 else "early"
         return [
-            Line("velocity", "odd", f"the velocities come {abs(found.late):.1f} s {word} against the positions: {off}")
+            Line("velocity", "odd", f"the velocities come {abs(found.late):.2f} s {word} against the positions: {off}")
         ]
     if found.scale == 0.0:
         return [Line("velocity", "odd", "the velocities are zero while the positions move")]

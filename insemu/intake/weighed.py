@@ -7,8 +7,9 @@ alone: where two readings do it equally well, both are said and no command is gi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import permutations, product
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from insemu.errors import InputError
 from insemu.intake.card import Level, Line
-from insemu.intake.explained import DECLARED, Explained, Reading, Windows
+from insemu.intake.explained import DECLARED, FEWEST, Explained, Reading, Windows
 from insemu.units import scaled_unit
 
 Array = NDArray[np.float64]
@@ -33,8 +34,6 @@ MOVES = 0.15
 KNOWN, SCALE = 0.04, 0.05
 #: How finely the factor is looked for.
 SCALE_STEP = 1.02
-#: Fewest windows of a part that is reported.
-FEWEST = 3
 #: Windows by which readings are screened, and how many of them are scored by all.
 SCREENED, KEPT = 10, 8
 #: Shortest shift of the fixes that is said, s; first step of the search and its end.
@@ -43,8 +42,9 @@ OFFSET, SHIFT, SHIFT_STEP = 0.1, 0.2, 0.02
 DRIFT = 0.4
 #: Course and heading differ so much at least, m/s across.
 SLIP = 0.2
-#: Delays of one sensor that are tried, s, and their step, which is halved about the best one.
-DELAYS, DELAY_STEP = (-0.5, -0.3, -0.1, 0.1, 0.3, 0.5), 0.2
+#: Delays of one sensor from the best of which the search begins, s, and the longest that a sensor has: fixes that are later, positions alone, are
+#: as well explained by a late gyroscope (`python -m benchmarks.intake lags`).
+DELAYS, LONGEST = (-0.5, -0.3, -0.1, 0.1, 0.3, 0.5), 1.0
 #: Settings of fixes whose hemisphere was lost, and what they mean.
 SIDES = {"west": "longitudes count west", "south": "latitudes count south"}
 #: Settings' name of a sensor -> its name.
@@ -293,20 +293,22 @@ class Weighing:
         first = [kept[k] for k in np.argsort(both)[::-1][:KEPT]]
         return [Named(settings, means, self.score(g @ gyro, a @ accel)) for settings, means, g, a in first]
 
+    def _climbed(self, score: Callable[[float], Explained], start: float) -> tuple[float, Explained]:
+        """The best shift or delay about a start, by steps that are halved where neither side is better; a second from the start at most."""
+        at, best, step = start, score(start), SHIFT
+        while step > SHIFT_STEP and abs(at - start) <= 1.0:
+            further = max((at - step, at + step), key=lambda s: score(s).nats)
+            if score(further).nats > best.nats:
+                at, best = further, score(further)
+            else:
+                step *= 0.5
+        return at, best
+
     def shift(self) -> Explained:
         """The best shift of the fixes near the declared clock or near what turns say."""
-        eye, tried = np.eye(3), [self.declared]
-        for start in {0.0, self.hint}:
-            step = SHIFT
-            best = self.score(eye, eye, shift=start)
-            while step > SHIFT_STEP:
-                at = best.reading.shift
-                best = max((best, *(self.score(eye, eye, shift=at + d) for d in (-step, step))), key=lambda e: e.nats)
-                step = step if best.reading.shift != at else 0.5 * step
-                if abs(best.reading.shift - start) > 1.0:
-                    break
-            tried.append(best)
-        return max(tried, key=lambda e: e.nats)
+        eye = np.eye(3)
+        tried = [self._climbed(lambda s: self.score(eye, eye, shift=s), start)[1] for start in {0.0, self.hint}]
+        return max(self.declared, *tried, key=lambda e: e.nats)
 
     def _drift(self, shift: float) -> float:
         """How much more the last third of the windows wants the fixes shifted than the first, s; 0 where it is no more than a search tells."""
@@ -351,13 +353,12 @@ class Weighing:
         """Readings with one sensor late or early against the other one and the fixes."""
         out = []
         for sensor, name in SENSORS.items():
-            late = max(DELAYS, key=lambda d: self._delayed(sensor, d).nats)
-            step = 0.5 * DELAY_STEP
-            while step >= SHIFT_STEP:
-                late = max((late, late - step, late + step), key=lambda d: self._delayed(sensor, d).nats)
-                step *= 0.5
+            score = partial(self._delayed, sensor)
+            late, found = self._climbed(score, max(DELAYS, key=lambda d: score(d).nats))
+            if abs(late) > LONGEST:
+                continue
             said = f"the {name} comes {abs(late):.2f} s {'late' if late > 0 else 'early'}"
-            out.append(Named({f"{sensor}_shift": f"{-late:+.2f} s"}, said, self._delayed(sensor, late)))
+            out.append(Named({f"{sensor}_shift": f"{-late:+.2f} s"}, said, found))
         return out
 
     def _scales(self) -> list[Named]:

@@ -230,7 +230,7 @@ def trend_chart(members: Sequence[AxisReport], of: str) -> Chart:
         Sensor.
     """
     factor, unit = _factor(members[0].unit)
-    label = f"mean less the later median ({unit})"
+    label = f"block mean ({unit})"
     curves = []
     for axis in members:
         level = float(np.median(axis.trend[axis.trend.size // 2 :])) if axis.trend.size else 0.0
@@ -238,7 +238,7 @@ def trend_chart(members: Sequence[AxisReport], of: str) -> Chart:
     views = _beside_and_alone(members, of, label, curves)
     return Chart(
         _named("Over time", of),
-        "Block means over time: warm-up and level shifts are seen here.",
+        "Block means over time, less the median of the second half: warm-up and level shifts are seen here.",
         None,
         "time (min)",
         views,

@@ -509,7 +509,7 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
     index = Table(
         ("", "before", "after"),
         [["gap index (reduced chi-square, 1 is agreement)", _interval(report.gap_before), _interval(report.gap_after)]],
-        f"On data that was not used for naming. Gain of log score: {_interval(report.held_out)} nats per fix (per block of a static log). "
+        f"On data that was not used for naming. Gain of log score in nats per fix (per block of a static log): {_interval(report.held_out)}. "
         + burst_said(report),
     )
     left = [Text(f"Unexplained by what was named: {report.remainder}.")] if report.remainder else []

@@ -216,7 +216,7 @@ def render_reckoning(result: DeadReckoning, path: str | Path) -> Path:
     chart = Chart("Dead reckoning", caption, result.t[some], "time (s)", views)
     seconds = result.end_s - result.start_s
     rows = [
-        [key.replace("_", " "), f"{v:.6g}" if isinstance(v, float) else str(v)]
+        [key.replace("_m_s", "_m/s").replace("_", " "), f"{v:.6g}" if isinstance(v, float) else str(v)]
         for key, v in result.to_dict().items()
         if key != "said"
     ]

@@ -67,7 +67,11 @@
     const across = axis(spec.x_label, 44);
     if (view.ticks.length) {
       across.splits = () => view.ticks.map((t) => t[0]);
-      across.values = () => view.ticks.map((t) => t[1]);
+      const words = view.ticks.map((t) => t[1]), lines = words.flatMap((w) => w.split("\n"));
+      const rotated = Math.max(...lines.map((w) => w.length)) * 7 > (width - 90) / words.length; // they would overlap
+      across.values = () => rotated ? words.map((w) => w.replace("\n", " ")) : words;
+      if (rotated) { across.rotate = -60; across.size = 30 + 6 * Math.max(...words.map((w) => w.length)); }
+      else across.size = 30 + 14 * Math.max(...words.map((w) => w.split("\n").length));
       across.grid = { show: false };
     }
     const height = paper ? 190 : Math.max(240, Math.min(360, width * 0.45));
