@@ -48,7 +48,7 @@ def test_a_right_filter_is_not_accused_and_a_wrong_one_is_wherever_the_power_say
         assert row.power["attitude"][0] < 0.5
         assert {v.subject.split(" at ")[0] for v in row.tests if not v.passed} <= {"attitude", "all nine"}
         assert any("attitude" in v.subject and not v.passed for v in row.tests)
-    assert all(r.lie is None or r.lie.component.startswith("attitude") for r in attitude.right)
+    assert all(r.first is None or r.first.component.startswith("attitude") for r in attitude.right)
 
 
 def test_the_page_repeats_to_the_byte(tmp_path, monkeypatch, capsys):
@@ -86,8 +86,8 @@ def test_another_program_gives_its_estimates_through_files(tmp_path):
         np.savetxt(folder / "estimate.csv", row, delimiter=",", header=",".join(COLUMNS), comments="", fmt="%.12g")
     (found,) = referee([str(tmp_path)], **given)
     assert set(found.right[0].power) == {"component"}
-    assert found.right[0].lie is not None
-    assert found.right[0].lie.factor < 0.1
+    assert found.right[0].first is not None
+    assert found.right[0].first.factor < 0.1
 
 
 def test_what_a_program_writes_is_what_is_judged(tmp_path):

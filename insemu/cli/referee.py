@@ -57,7 +57,9 @@ def command(
         console.print(referee_answer(found), style="bold", soft_wrap=True, highlight=False, markup=False)
         for j in found if len(found) > 1 else ():
             console.print(f"  {j.verdict}", soft_wrap=True, highlight=False, markup=False)
-        print_table(console, "First lie", *world_rows(found), left=len(found) + 1, fit=True, gap=lambda row: False)
+        print_table(
+            console, "First inconsistency", *world_rows(found), left=len(found) + 1, fit=True, gap=lambda row: False
+        )
         print_table(
             console, "Starts that converge", *start_rows(found), left=len(found) + 1, fit=True, gap=lambda row: False
         )

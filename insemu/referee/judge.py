@@ -1,7 +1,7 @@
 """What is said of a filter: tests whose false alarms are counted together over all worlds, and what each would have found.
 
 Half of the false-alarm rate belongs to NEES of groups of states at a few epochs and NIS of all innovations, in the worlds in which the filter is
-given the truth. The other half belongs to every component at every epoch, and finds where a lie begins. Of either half, all tests in all
+given the truth. The other half belongs to every component at every epoch, and finds where an inconsistency begins. Of either half, all tests in all
 worlds share it in equal parts (Bonferroni), so a right filter is accused in at most that share of pages. Bounds are exact where errors are normal:
 the sum over independent realizations is chi-square.
 """
@@ -46,7 +46,7 @@ REALIZATIONS, FALSE_ALARM, SEED = 48, 0.01, 1
 
 
 @dataclass(frozen=True)
-class Lie:
+class Inconsistency:
     """The first epoch and component at which errors are not what is stated.
 
     Parameters
@@ -78,7 +78,7 @@ class Judged:
     tests : sequence of Verdict
     power : mapping
         Group, ``innovations`` or ``component`` to the smallest shares by which sigma is too small and too large that the world finds.
-    lie : Lie, optional
+    first : Inconsistency, optional
     drifts : sequence of Drift
     """
 
@@ -86,13 +86,13 @@ class Judged:
     flights: Flights
     tests: Sequence[Verdict]
     power: Mapping[str, tuple[float, float]]
-    lie: Lie | None
+    first: Inconsistency | None
     drifts: Sequence[Drift]
 
     @property
     def found(self) -> bool:
         """Whether anything is wrong."""
-        return bool(self.flights.failed) or self.lie is not None or any(not v.passed for v in self.tests)
+        return bool(self.flights.failed) or self.first is not None or any(not v.passed for v in self.tests)
 
     @property
     def finds(self) -> tuple[float, float]:
@@ -108,7 +108,7 @@ class Judged:
             k, said = next(iter(self.flights.failed.items()))
             out.append(f"failed in {len(self.flights.failed)} realizations, first in {k}: {said}")
         out += [str(v) for v in self.tests if not v.passed]
-        return [*out, f"first lie: {self.lie}"] if self.lie else out
+        return [*out, f"first inconsistency: {self.first}"] if self.first else out
 
 
 @dataclass(frozen=True)
@@ -148,11 +148,11 @@ class Judgement:
         """One sentence: what was found, or what would have been."""
         right, accused = self.right, self.accused
         if accused:
-            lies = [r for r in accused if r.lie is not None]
+            found = [r for r in accused if r.first is not None]
             words = f"{self.name} does not state its errors in {len(accused)} of {count_of(len(right), 'world')}"
-            first = min(lies, key=lambda r: r.lie.t if r.lie else 0.0, default=None)
+            first = min(found, key=lambda r: r.first.t if r.first else 0.0, default=None)
             return f"{words}: {', '.join(r.world.name for r in accused)}." + (
-                f" First in {first.world.name}: {first.lie}." if first else ""
+                f" First in {first.world.name}: {first.first}." if first else ""
             )
         if not right:
             return f"{self.name} was flown in worlds with wrong models only."
@@ -170,7 +170,7 @@ class Judgement:
                 "failed": {str(k): v for k, v in r.flights.failed.items()}, "found": r.found,
                 "tests": [{**asdict(v), "passed": v.passed} for v in r.tests],
                 "finds": {k: {"too_small": a, "too_large": b if math.isfinite(b) else None} for k, (a, b) in r.power.items()},
-                "first_lie": None if r.lie is None else asdict(r.lie), "drifts": [asdict(d) for d in r.drifts],
+                "first_inconsistency": None if r.first is None else asdict(r.first), "drifts": [asdict(d) for d in r.drifts],
             }
             for r in self.rows
         ]  # fmt: skip
@@ -220,13 +220,13 @@ def judged(
         square = ((flights.error / flights.sigma) ** 2).mean(axis=0)
     outside = ~((square >= min(low, 1.0 - MEAN_SQUARE)) & (square <= max(high, 1.0 + MEAN_SQUARE)))
     power["component"] = smallest_found((low, high), runs, POWER)
-    lie = None
+    began = None
     if outside.any():
         first = int(np.argmax(outside.any(axis=1)))
         z = np.where(outside[first], np.abs(np.log(square[first])), -1.0)
         c = int(np.argmax(np.nan_to_num(z, nan=np.inf)))
-        lie = Lie(float(flights.t[first] - flights.t[0]), COMPONENTS[c], float(np.sqrt(square[first, c])))
-    return Judged(world, flights, tests, power, lie, drift)
+        began = Inconsistency(float(flights.t[first] - flights.t[0]), COMPONENTS[c], float(np.sqrt(square[first, c])))
+    return Judged(world, flights, tests, power, began, drift)
 
 
 def looked_at(flights: Flights) -> list[int]:

@@ -37,8 +37,8 @@ def _cell(row: Judged) -> str:
         return "-"
     if row.flights.failed:
         return f"fails in {len(row.flights.failed)}"
-    if row.lie is not None:
-        return f"{row.lie.component.replace('_', ' ')}, {row.lie.t:g} s: x {row.lie.factor:.2f}"
+    if row.first is not None:
+        return f"{row.first.component.replace('_', ' ')}, {row.first.t:g} s: x {row.first.factor:.2f}"
     v = next(v for v in row.tests if not v.passed)
     return f"{v.subject}: x {math.sqrt(v.value):.2f}"
 
@@ -152,7 +152,7 @@ def render_referee(found: Sequence[Judgement], path: str | Path, *, source: str 
         "never the truth.",
         f"A filter that is right is accused with at most {100 * first.false_alarm:g} % for all its worlds and tests together: {half} for NEES of "
         f"groups of states after a third, two thirds and the whole of a flight and at the ends of outages, and for NIS; {half} for every component "
-        "at every second, which finds where a lie begins.",
+        "at every second, which finds where an inconsistency begins.",
         "Bounds are exact chi-square quantiles over independent realizations, where errors are normal. Differences of sigma up to 1 % do not count.",
         "What a world would have found is exact for one test alone, so that all tests together find no less.",
         "In the worlds 'wrong ...' filters are given a wrong model on purpose, and should be accused: what is found there is no fault of theirs.",
