@@ -30,7 +30,7 @@ TURNED = np.deg2rad(1.5)
 LAGS, NEARER = np.round(np.arange(-2.5, 2.55, 0.1), 1), 0.0125 * np.arange(-8, 9)
 #: Gain in log-likelihood from which velocities lag, nats; shortest lag that is said, s; fewest steps of the positions. Right recordings and pieces of
 #: them gain 9 nats at most (a real receiver 21); `python -m benchmarks.intake lags` counts what is found.
-LAG_NATS, LATE_S, TOLD = 20.0, 0.1, 30
+LAG_NATS, LATE_S, FEWEST_STEPS = 20.0, 0.1, 30
 #: Decimals of a degree that are too few: four are steps of 11 m.
 DECIMALS = range(2, 5)
 #: Lowest dry land, m: heights below are negated, or of another unit.
@@ -111,7 +111,7 @@ def velocity_lag(gnss: GnssRecord) -> tuple[float, float]:
         return 0.0, 1.0
     edge = 0.5 * moved.span + LAGS[-1] + NEARER[-1]
     inside = (moved.t > own.t[0] + edge) & (moved.t < own.t[-1] - edge)
-    if inside.sum() < TOLD:
+    if inside.sum() < FEWEST_STEPS:
         return 0.0, 1.0
     way = scipy.interpolate.CubicSpline(own.t, own.velocity[:, :2]).antiderivative()
     ends, there = moved.t[inside] + 0.5 * moved.span * np.array([[-1.0], [1.0]]), moved.velocity[inside, :2]
