@@ -36,6 +36,8 @@ KINDS: dict[str, tuple[str, ...]] = {
     "three": ("fixes", "fixes", "fixes"),
     "band": ("band",),
     "outside": ("outside",),
+    "outlier": ("outlier",),
+    "outlier-two": ("outlier", "fixes"),
     "jump": ("jump",),
     "rarer": ("rarer",),
     "changed": ("changed",),
@@ -47,8 +49,8 @@ KINDS: dict[str, tuple[str, ...]] = {
 #: Kinds with nothing, one, and more hidden, whose answers are counted alike.
 NOTHING, ONE, MORE = (
     ("none", "aid-none"),
-    ("one", "jump", "rarer", "changed", "aid"),
-    ("two", "three", "receiver", "aid-two"),
+    ("one", "jump", "rarer", "changed", "outlier", "aid"),
+    ("two", "three", "receiver", "outlier-two", "aid-two"),
 )
 #: Effects of one size are made so large that they are worth between these, nats.
 WORTH = (25.0, 250.0)

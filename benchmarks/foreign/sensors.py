@@ -72,6 +72,8 @@ CHANGED: dict[tuple[str, str], float] = {
 }
 #: Effects of fixes and processes that are drawn at a size of their own.
 DRAWN = ("random_walk", "gnss_noise_level", "gnss_correlated_noise", "gnss_outliers", "gnss_multipath_step")
+#: Gross errors of a receiver: share of the fixes, and their standard deviation (m), drawn on a log scale.
+OUTLIER_SHARE, OUTLIER_M = (0.01, 0.05), (10.0, 1e4)
 #: What shows in the samples rather than in the fixes.
 BAND = ("white_noise", "vibration_line", "quantization", "decimation_filter", "outliers")
 
@@ -279,7 +281,7 @@ def draw_world(
 
 
 def draw_hidden(rng: np.random.Generator, world: World, what: str) -> Hidden:
-    """Draw an effect: ``shaped``, ``drawn`` at a size of its own, ``jump``, ``rarer``, in the samples (``band``), ``outside``, of an ``aid``."""
+    """Draw an effect: ``shaped``, ``drawn`` at a size of its own, ``jump``, ``rarer``, in the samples (``band``), ``outside``, ``outlier``, of an ``aid``."""
     unit, axis = world.unit, "xyz"[rng.integers(3)]
     sign = float(rng.choice([-1.0, 1.0]))
     if what in ("shaped", "outside"):
@@ -306,6 +308,12 @@ def draw_hidden(rng: np.random.Generator, world: World, what: str) -> Hidden:
         return Hidden(effect, sensor, axis, values)
     if what == "aid":
         return Hidden(*beside.draw_aid(rng, world))
+    if what == "outlier":
+        values = {
+            "probability": float(rng.uniform(*OUTLIER_SHARE)),
+            "sigma": float(np.exp(rng.uniform(*np.log(OUTLIER_M))) / unit.position[0]),
+        }
+        return Hidden("gnss_outliers", "gnss", "", values)
     if what == "jump":
         sensor = str(rng.choice(["gyro", "accel"]))
         values = {"value": sign * JUMPS[sensor], "start": float(rng.uniform(0.2, 0.8) * world.sensed.t[-1])}
