@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, EffectUse, having
 from insemu.gap.candidates.axis import AxisState
-from insemu.gap.candidates.jumps import JUMPS
-from insemu.gap.candidates.shapes import EQUATIONS, PROCESSES
+from insemu.gap.candidates.shapes import PROCESSES
 from insemu.gap.evidence.band import Band
 from insemu.gap.hypothesis import Found, Hypothesis, class_of
 from insemu.gap.policy import rules
@@ -242,19 +241,12 @@ def unknown_part(finding: Finding, known: Sequence[EffectUse]) -> Finding | None
 
 
 def joined(findings: list[Finding]) -> list[Finding]:
-    """Findings of one effect that share a parameter as one: their values are those of everything together already."""
+    """Findings of one effect that share a number as one: their values are those of everything together already."""
     out: list[Finding] = []
     for s in findings:
-        names = {v.name for v in s.parameters}
+        own = {v.name: v.value for v in s.parameters}
         k = next(
-            (
-                k
-                for k, o in enumerate(out)
-                if (o.effect, o.sensor) == (s.effect, s.sensor)
-                and s.effect not in (*PROCESSES, *JUMPS, *EQUATIONS, "gnss_multipath_step")
-                and names & {v.name for v in o.parameters}
-            ),
-            None,
+            (k for k, o in enumerate(out) if (o.effect, o.sensor) == (s.effect, s.sensor) and _shares(o, own)), None
         )
         if k is None:
             out.append(s)
@@ -269,6 +261,12 @@ def joined(findings: list[Finding]) -> list[Finding]:
             metres=math.hypot(first.metres, s.metres),
         )
     return out
+
+
+def _shares(finding: Finding, numbers: Mapping[str, float]) -> bool:
+    """Whether a finding has some of these numbers by name, and the same values of all of those."""
+    both = [math.isclose(v.value, numbers[v.name], rel_tol=1e-9) for v in finding.parameters if v.name in numbers]
+    return bool(both) and all(both)
 
 
 def with_effect(models: dict[str, NoiseModel], finding: Finding) -> dict[str, NoiseModel]:
