@@ -21,7 +21,7 @@ from insemu.effects import EFFECTS, EffectUse, having
 from insemu.errors import InputError
 from insemu.filters import log_density
 from insemu.gap import GapReport, Nominal, find_gap
-from insemu.gap.candidates.fixes import _share_and_size, gnss_outliers, without_outliers
+from insemu.gap.candidates.fixes import _share_and_size, as_joint, gnss_outliers, without_outliers
 from insemu.gap.candidates.shapes import Change
 from insemu.gap.candidates.steps import _Scan, _step_anywhere, _when, multipath_step, surprising
 from insemu.gap.candidates.unexplained import Unexplained
@@ -31,7 +31,7 @@ from insemu.gap.drive.preparation import Flown, fitted_levels
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
 from insemu.gap.evidence.climb import Ridge, laplace_together
-from insemu.gap.evidence.fixes import NED, _any_size, joint_noise, level_beside
+from insemu.gap.evidence.fixes import NED, JointNoise, _any_size, joint_noise, level_beside
 from insemu.gap.evidence.modes import Free
 from insemu.gap.evidence.surrogate import Colour, FixNoise, Surrogate
 from insemu.gap.hypothesis import Found, Hypothesis
@@ -865,3 +865,13 @@ def test_what_comes_after_the_cut_corrects_nothing_before_it() -> None:
 def test_the_effects_that_are_told_apart_are_those_that_a_filter_gates() -> None:
     # those of aids are told beside aids: insemu/gap/problems/aids.py
     assert set(FIRST) == {e for e in having("outlying") if EFFECTS[e].family == "gnss"}
+
+
+def test_an_axis_none_of_whose_fixes_is_used_has_no_colour_any_more() -> None:
+    """A recording all of whose positions were outliers ended in a KeyError."""
+    noise = FixNoise(np.ones(6), Colour(np.array([0.4, 0.4, 0.8, 0.0, 0.0, 0.0]), 10.0))
+    named = Hypothesis("gnss_correlated_noise", 40.0, (), Change(), "", "gnss", ("north", "east", "down"))
+    scene: Any = None
+    assert as_joint(named, scene, JointNoise(noise, {"tau": 0.2}, 0.0, dict)) is named
+    down = as_joint(named, scene, JointNoise(noise, {"sigma_down": 0.1, "tau": 0.2}, 0.0, dict))
+    assert down.axes == ("down",) and [v.name for v in down.values] == ["sigma_down", "tau"]

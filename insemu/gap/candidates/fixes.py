@@ -359,8 +359,9 @@ def as_joint(h: DriveHypothesis, scene: Scene, joint: JointNoise) -> DriveHypoth
         The estimate, levels relative to those of the scene's filter.
     """
     if h.effect == "gnss_correlated_noise":
-        axes = tuple(a for a, sigma in zip(NED, joint.noise.colour.sigma, strict=False) if sigma > 0.0)
-        return replace(h, axes=axes, values=colour_values(joint.noise.colour, axes, joint.sd))
+        # an axis none of whose fixes is used is estimated no more
+        axes = tuple(a for a in NED if f"sigma_{a}" in joint.sd)
+        return replace(h, axes=axes, values=colour_values(joint.noise.colour, axes, joint.sd)) if axes else h
     h = at_level(h, scene.original.factors * joint.noise.factor)
     if not (rows := rows_of(h)) or level_name(rows) not in joint.sd:
         return h
