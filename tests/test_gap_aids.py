@@ -20,9 +20,9 @@ from insemu.filters import AIDS, aid_jacobian, smoothed_at
 from insemu.gap import find_gap, load_nominal
 from insemu.gap.beliefs.refined import refined_nominal
 from insemu.gap.candidates.aid_outliers import Mixture
-from insemu.gap.drive.beside import Measured, Smoothed
+from insemu.gap.drive.aid_residuals import Measured, Smoothed
 from insemu.gap.drive.preparation import Flown
-from insemu.gap.evidence.beside import AidModel, Beside
+from insemu.gap.evidence.aid_model import AidModel, Beside
 from insemu.gap.problems import drive_without
 from insemu.gap.problems.aids import aids_looked_at, check_aids
 from insemu.gap.verdict import Finding, Interval, Value

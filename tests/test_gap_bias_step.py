@@ -26,7 +26,7 @@ from insemu.gap.evidence.starts import Starts
 from insemu.gap.hypothesis import Found, Hypothesis, best_first
 from insemu.gap.problems import drive_without
 from insemu.gap.problems.drive import DriveProblem
-from insemu.gap.problems.together import left
+from insemu.gap.problems.joint_estimate import left
 from insemu.noise import WN, NoiseModel
 from insemu.records import Series
 

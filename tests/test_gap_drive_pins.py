@@ -28,7 +28,7 @@ from insemu.gap.evidence.linear import Field
 from insemu.gap.evidence.model import Explanation
 from insemu.gap.hypothesis import Found, Hypothesis, class_of
 from insemu.gap.problems import band, drive, rest
-from insemu.gap.problems import named as problem_named
+from insemu.gap.problems import search_result as problem_named
 from insemu.gap.problems.findings import VARYING, rejected, remainder
 from insemu.gap.verdict import Finding, Member, Where
 from insemu.noise import WN, NoiseModel

@@ -49,7 +49,7 @@ from insemu.gap.hypothesis import Found, best_first, class_of
 from insemu.gap.policy import Policy, rules
 from insemu.gap.problems.band import fast_effects
 from insemu.gap.problems.findings import unknown_part
-from insemu.gap.problems.named import rivals_of
+from insemu.gap.problems.search_result import rivals_of
 from insemu.gap.verdict import Finding, Value
 from insemu.lost import filled
 from insemu.noise import RW, WN, NoiseModel

@@ -26,7 +26,7 @@ from insemu.gap.candidates.shapes import Change
 from insemu.gap.candidates.steps import _Scan, _step_anywhere, _when, multipath_step, surprising
 from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.drive import FIRST
-from insemu.gap.drive.apart import MOST_RUNS, Seen, by_filter, log_joint, log_odds, outlying, told, under_colour
+from insemu.gap.drive.fix_outliers import MOST_RUNS, Seen, by_filter, log_joint, log_odds, outlying, told, under_colour
 from insemu.gap.drive.preparation import Flown, fitted_levels
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
@@ -38,7 +38,7 @@ from insemu.gap.hypothesis import Found, Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.problems import drive_without
 from insemu.gap.problems.drive import DriveProblem
-from insemu.gap.problems.named import held_out
+from insemu.gap.problems.search_result import held_out
 from insemu.gap.verdict import Finding, Value
 from insemu.gap.worth import stated_in_outages
 from insemu.records import GnssRecord, Recording

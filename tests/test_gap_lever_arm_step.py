@@ -24,7 +24,7 @@ from insemu.gap.evidence.starts import Starts
 from insemu.gap.hypothesis import Found, Hypothesis
 from insemu.gap.problems import drive_without
 from insemu.gap.problems.drive import DriveProblem
-from insemu.gap.problems.together import left
+from insemu.gap.problems.joint_estimate import left
 from insemu.records import Recording
 
 ARM = (1.2, -0.3, 0.8)

@@ -15,7 +15,7 @@ from insemu.gap.checks.rest import Entry, corrected
 from insemu.gap.drive.preparation import fast_parts, prepare
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.model import Likelihood, fit
-from insemu.gap.problems.known import starting_explanation
+from insemu.gap.problems.known_effects import starting_explanation
 from insemu.gap.verdict import Finding, Member, judged
 from insemu.records import Recording
 

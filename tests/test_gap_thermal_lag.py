@@ -18,7 +18,7 @@ from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import columns_response
 from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.problems import drive_without
-from insemu.gap.problems.together import left
+from insemu.gap.problems.joint_estimate import left
 from insemu.gap.verdict import Finding, Value
 
 

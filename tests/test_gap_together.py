@@ -14,8 +14,8 @@ from insemu.gap import Finding, Nominal
 from insemu.gap.beliefs.refined import uses_of
 from insemu.gap.evidence.fixes import NED
 from insemu.gap.problems import drive_without
-from insemu.gap.problems.known import both_told, struck_out
-from insemu.gap.problems.together import left
+from insemu.gap.problems.joint_estimate import left
+from insemu.gap.problems.known_effects import both_told, struck_out
 from insemu.gap.verdict import Value
 from insemu.records import Recording
 

@@ -15,8 +15,8 @@ import yaml
 from numpy.typing import NDArray
 
 from benchmarks.foreign import motion, sensors
+from benchmarks.foreign.aids import EVERY, AidRuler
 from benchmarks.foreign.baselines import METHODS, baselines
-from benchmarks.foreign.beside import EVERY, AidRuler
 from benchmarks.foreign.oracle import gained
 from benchmarks.trial.score import interval
 from insemu.filters import FixTable

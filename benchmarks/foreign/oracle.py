@@ -14,7 +14,7 @@ from insemu.gap.beliefs.refined import refined_nominal
 from insemu.gap.drive import FIRST, Flown
 from insemu.gap.problems import drive_without
 from insemu.gap.problems.findings import with_effect
-from insemu.gap.problems.together import opened
+from insemu.gap.problems.joint_estimate import opened
 from insemu.gap.verdict import Value
 from insemu.records import Recording
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.foreign import beside
+from benchmarks.foreign import aids
 from benchmarks.foreign.flights import AIRCRAFT, flight
 from benchmarks.foreign.motion import DT, RATE, VEHICLES, Array, Ride, Sensed, geodetic, plane, ride, sense
 
@@ -281,7 +281,7 @@ def draw_world(
 
 
 def draw_hidden(rng: np.random.Generator, world: World, what: str) -> Hidden:
-    """Draw an effect: ``shaped``, ``drawn`` at a size of its own, ``jump``, ``rarer``, in the samples (``band``), ``outside``, ``outlier``, of an ``aid``."""
+    """Draw an effect: ``shaped``, ``drawn`` at its own size, ``jump``, ``rarer``, in the samples (``band``), ``outside``, ``outlier``, ``aid``."""
     unit, axis = world.unit, "xyz"[rng.integers(3)]
     sign = float(rng.choice([-1.0, 1.0]))
     if what in ("shaped", "outside"):
@@ -307,7 +307,7 @@ def draw_hidden(rng: np.random.Generator, world: World, what: str) -> Hidden:
         values = {"value": sign * CHANGED[effect, sensor], "start": float(rng.uniform(0.2, 0.7) * world.sensed.t[-1])}
         return Hidden(effect, sensor, axis, values)
     if what == "aid":
-        return Hidden(*beside.draw_aid(rng, world))
+        return Hidden(*aids.draw_aid(rng, world))
     if what == "outlier":
         values = {
             "probability": float(rng.uniform(*OUTLIER_SHARE)),
@@ -430,7 +430,7 @@ def record(world: World, hidden: Sequence[Hidden] = (), stated: float = 1.0) -> 
         "temperature": warm[every - 1 : count * every : every],
     }
     out = world.logger.logged({**out, **_fixes(world, hidden, stated)}, np.random.default_rng([world.seed, 7]))
-    out |= beside.arrays(world, hidden) if world.aids else {}
+    out |= aids.arrays(world, hidden) if world.aids else {}
     return {**out, **(_start(world) if world.reference else {})}
 
 

@@ -35,7 +35,7 @@ from insemu.gap.beliefs.refined import refined_nominal
 from insemu.gap.drive import FIRST, Flown
 from insemu.gap.evidence.surrogate import PLAIN, FixNoise, Surrogate
 from insemu.gap.problems import drive_without
-from insemu.gap.problems.known import colour_of
+from insemu.gap.problems.known_effects import colour_of
 from insemu.records import GnssRecord, ImuRecord, Recording
 from insemu.work import Lines, processes, run_items
 from tests.real_gaps import cases

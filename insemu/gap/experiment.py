@@ -41,7 +41,7 @@ from insemu.gap.drive.signatures import Loop
 from insemu.gap.evidence.linear import flicker_root, gauss_markov_root, random_walk_root
 from insemu.gap.policy import rules
 from insemu.gap.problems.findings import with_process
-from insemu.gap.problems.known import drive_without, in_imu_axes
+from insemu.gap.problems.known_effects import drive_without, in_imu_axes
 from insemu.gap.session import with_only
 from insemu.gap.verdict import Finding, GapReport
 from insemu.noise import NoiseModel, axis_unit

@@ -25,9 +25,9 @@ from insemu.gap.holdout import DriveScore
 from insemu.gap.policy import Policy, rules, under
 from insemu.gap.problems.aids import Looked, aids_looked_at, check_aids
 from insemu.gap.problems.findings import with_effect
-from insemu.gap.problems.known import both_told, drive_without, in_imu_axes, static_without, struck_out
+from insemu.gap.problems.joint_estimate import MOST_TURNS, left
+from insemu.gap.problems.known_effects import both_told, drive_without, in_imu_axes, static_without, struck_out
 from insemu.gap.problems.rest import find_static_gap
-from insemu.gap.problems.together import MOST_TURNS, left
 from insemu.gap.verdict import Finding, GapReport, Interval, half_sample_said, held_out_said, judged
 from insemu.gap.worth import worth_of_mounting, worth_of_settled
 from insemu.prepared import left_out

@@ -9,7 +9,7 @@ import numpy as np
 import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
-from insemu.gap.drive.beside import Measured
+from insemu.gap.drive.aid_residuals import Measured
 from insemu.gap.policy import rules
 
 Array = NDArray[np.float64]

@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 
 from insemu.filters import log_density
 from insemu.gap.candidates.shapes import Change, DriveHypothesis
-from insemu.gap.drive.apart import FIRST, Look, always, by_filter, less, log_joint, log_mixture, told, under_colour
+from insemu.gap.drive.fix_outliers import (
+    FIRST,
+    Look,
+    always,
+    by_filter,
+    less,
+    log_joint,
+    log_mixture,
+    told,
+    under_colour,
+)
 from insemu.gap.drive.preparation import scaled_fixes
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
@@ -62,7 +72,7 @@ def whole_innovations(
     cut : float or None
         Fixes after this time (s) are left out; ``None``: none is.
     effect : str
-        One of :data:`insemu.gap.drive.apart.FIRST`, which says whether it is about positions or velocities.
+        One of :data:`insemu.gap.drive.fix_outliers.FIRST`, which says whether it is about positions or velocities.
 
     Returns
     -------
@@ -96,7 +106,7 @@ def gnss_outliers(scene: Scene, nu: Array, cut: float | None, effect: str = "gns
     cut : float or None
         Fixes after this time (s) are not looked at; ``None``: all are.
     effect : str
-        One of :data:`insemu.gap.drive.apart.FIRST`.
+        One of :data:`insemu.gap.drive.fix_outliers.FIRST`.
 
     Returns
     -------

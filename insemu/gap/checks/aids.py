@@ -10,8 +10,8 @@ import scipy  # whose parts are imported when they are used
 
 from insemu.errors import InputError
 from insemu.filters import AIDS
-from insemu.gap.drive.beside import Measured
-from insemu.gap.evidence.beside import AidModel
+from insemu.gap.drive.aid_residuals import Measured
+from insemu.gap.evidence.aid_model import AidModel
 from insemu.gap.verdict import Where
 
 #: What a slope of what an aid says against what it should say stands for, by kind; a slope of 1 is right.

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS, Column, FixGeometry, Motion, catalogue_columns
 from insemu.errors import InputError
-from insemu.gap.drive.apart import without
 from insemu.gap.drive.changes import Changing
 from insemu.gap.drive.columns import filled_columns, rectified_columns
 from insemu.gap.drive.corrected import corrected_data, slow_knots
+from insemu.gap.drive.fix_outliers import without
 from insemu.gap.drive.preparation import Prepared, fitted_levels
 from insemu.gap.drive.signatures import Loop, bias_steps, columns_response, fix_step_response, knot_response, ramps
 from insemu.gap.drive.sizes import SIZE_REL, has_size, known_size, likeliest_size, slope_about, smoothing

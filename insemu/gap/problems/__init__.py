@@ -1,5 +1,5 @@
 """The two problems that are searched: a log at rest, and a drive or flight."""
 
-from insemu.gap.problems.known import drive_without
+from insemu.gap.problems.known_effects import drive_without
 
 __all__ = ["drive_without"]

@@ -13,9 +13,9 @@ from insemu.effects import AID_KINDS, EFFECTS, EffectUse, Stage, aid_corrected
 from insemu.filters import AIDS
 from insemu.gap.candidates.aid_outliers import FarOff, far_off
 from insemu.gap.checks.aids import check_unit, stands
-from insemu.gap.drive.beside import Measured, Shown, Smoothed
+from insemu.gap.drive.aid_residuals import Measured, Shown, Smoothed
 from insemu.gap.drive.preparation import Prepared
-from insemu.gap.evidence.beside import AidModel
+from insemu.gap.evidence.aid_model import AidModel
 from insemu.gap.hypothesis import class_of, probabilities
 from insemu.gap.policy import rules
 from insemu.gap.verdict import Finding, Interval, Member, Value, Where

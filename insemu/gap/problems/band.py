@@ -22,7 +22,7 @@ from insemu.gap.evidence.modes import Free
 from insemu.gap.hypothesis import Found, Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.problems.findings import AxisResult, with_process
-from insemu.gap.problems.known import of_axis, settled, starting_explanation, without_drawn
+from insemu.gap.problems.known_effects import of_axis, settled, starting_explanation, without_drawn
 from insemu.gap.problems.rest import search_axis
 from insemu.gap.verdict import Finding, InBand, Value
 from insemu.noise import WN, NoiseModel

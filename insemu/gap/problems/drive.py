@@ -36,7 +36,7 @@ from insemu.gap.candidates.steps import placed
 from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.checks.drive import drive_map, innovation_tests
 from insemu.gap.checks.rest import corrected
-from insemu.gap.drive.apart import FIRST
+from insemu.gap.drive.fix_outliers import FIRST
 from insemu.gap.drive.preparation import Flown, prepare
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import LEVEL_ROWS
@@ -51,7 +51,6 @@ from insemu.gap.problems.band import (
     vibrates,
     with_delay,
 )
-from insemu.gap.problems.between import with_unresolved
 from insemu.gap.problems.findings import (
     AxisResult,
     is_doubtful,
@@ -62,11 +61,12 @@ from insemu.gap.problems.findings import (
     split_axis,
     with_effect,
 )
-from insemu.gap.problems.known import which
-from insemu.gap.problems.mended import MendedDrive
-from insemu.gap.problems.named import Named, believing, blocks_of, held_out, told, with_confusable
+from insemu.gap.problems.joint_estimate import opened
+from insemu.gap.problems.known_effects import which
+from insemu.gap.problems.repaired_drive import MendedDrive
+from insemu.gap.problems.search_result import Named, believing, blocks_of, held_out, told, with_confusable
 from insemu.gap.problems.settled import STEPS, SettledFixes
-from insemu.gap.problems.together import opened
+from insemu.gap.problems.unresolved_shaking import with_unresolved
 from insemu.gap.search import Again, reconsider, search
 from insemu.gap.verdict import Finding, GapReport, Interval, Where, judged
 from insemu.gap.worth import Outage, outages_along, stated_in_outages, white_levels, with_white, worth_in_noise

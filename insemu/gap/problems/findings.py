@@ -15,7 +15,7 @@ from insemu.gap.candidates.shapes import PROCESSES
 from insemu.gap.evidence.band import Band
 from insemu.gap.hypothesis import Found, Hypothesis, class_of
 from insemu.gap.policy import rules
-from insemu.gap.problems.known import of_axis
+from insemu.gap.problems.known_effects import of_axis
 from insemu.gap.verdict import Finding, Member, Value, Where
 from insemu.noise import BI, DR, GM, QN, RW, SIN, WN, NoiseModel, Process
 

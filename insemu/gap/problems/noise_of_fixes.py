@@ -14,7 +14,7 @@ from insemu.gap.candidates.fixes import about, apart_from_named, at_level, rows_
 from insemu.gap.candidates.shapes import Change, DriveHypothesis, Variant, linear_nats
 from insemu.gap.candidates.steps import multipath_step, placed
 from insemu.gap.candidates.unexplained import Unexplained
-from insemu.gap.drive.apart import FIRST
+from insemu.gap.drive.fix_outliers import FIRST
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import LEVEL_GROUPS, LEVEL_ROWS, NED, JointNoise, joint_noise
 from insemu.gap.evidence.linear import Block

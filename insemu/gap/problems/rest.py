@@ -42,7 +42,7 @@ from insemu.gap.problems.findings import (
     split_axis,
     taken_out,
 )
-from insemu.gap.problems.known import settled, starting_explanation
+from insemu.gap.problems.known_effects import settled, starting_explanation
 from insemu.gap.search import Again, search
 from insemu.gap.threshold import certain, nominal_tail, threshold_of, usual_tail
 from insemu.gap.verdict import GapReport, Interval, Where, judged

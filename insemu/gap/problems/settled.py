@@ -14,7 +14,7 @@ from insemu.gap.candidates.robust import beyond_doubt
 from insemu.gap.candidates.shapes import Change, DriveHypothesis, Variant, linear_hypotheses
 from insemu.gap.candidates.steps import multipath_step, placed
 from insemu.gap.candidates.unexplained import Unexplained
-from insemu.gap.drive.apart import FIRST
+from insemu.gap.drive.fix_outliers import FIRST
 from insemu.gap.drive.scene import Scene, Window
 from insemu.gap.evidence.fixes import LEVEL_ROWS, joint_noise
 from insemu.gap.evidence.linear import Field

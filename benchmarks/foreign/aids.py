@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from benchmarks.foreign.motion import DT, Array, geodetic, plane
 from insemu.gap import Nominal
-from insemu.gap.drive.beside import Measured, Smoothed
+from insemu.gap.drive.aid_residuals import Measured, Smoothed
 from insemu.gap.drive.preparation import Flown
-from insemu.gap.evidence.beside import AidModel, AidNoise
+from insemu.gap.evidence.aid_model import AidModel, AidNoise
 from insemu.gap.problems.aids import nominal_model
 from insemu.records import Recording
 

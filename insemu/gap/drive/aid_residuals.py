@@ -23,7 +23,7 @@ from insemu.filters import (
     smoothed_at,
 )
 from insemu.gap.drive.preparation import Prepared
-from insemu.gap.evidence.beside import Beside
+from insemu.gap.evidence.aid_model import Beside
 from insemu.records import AidRecord
 from insemu.strapdown import correct
 

@@ -16,7 +16,7 @@ from insemu.gap.drive.preparation import Prepared, fast_parts, prepare
 from insemu.gap.drive.scene import ARMS, TERMS, Scene, Window
 from insemu.gap.evidence.fixes import LEVEL_ROWS, NED, joint_noise
 from insemu.gap.evidence.surrogate import FixNoise
-from insemu.gap.problems.known import colour_of
+from insemu.gap.problems.known_effects import colour_of
 from insemu.gap.verdict import Finding, Value
 from insemu.records import AXES, Recording
 

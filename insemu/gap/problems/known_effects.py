@@ -204,7 +204,7 @@ def _estimated(recording: Recording, nominal: Nominal) -> Trajectory:
 
 def _without_outliers(recording: Recording, nominal: Nominal, colour: Colour | None) -> Recording:
     """A recording without the positions and velocities that are more likely known outliers than not, as the nominal filter sees them."""
-    from insemu.gap.drive.apart import FIRST, always, by_filter, outlying, told_of, under_colour
+    from insemu.gap.drive.fix_outliers import FIRST, always, by_filter, outlying, told_of, under_colour
     from insemu.gap.drive.preparation import fast_parts, prepare
 
     if recording.gnss is None or not any(use.id in FIRST for use in nominal.effects):
@@ -219,7 +219,7 @@ def _without_outliers(recording: Recording, nominal: Nominal, colour: Colour | N
 
 def _struck_out(recording: Recording, gone: Mapping[str, Array]) -> Recording:
     """A recording without the positions and velocities of some times."""
-    from insemu.gap.drive.apart import without
+    from insemu.gap.drive.fix_outliers import without
 
     return recording if recording.gnss is None else replace(recording, gnss=without(recording.gnss, gone))
 
@@ -232,7 +232,7 @@ def struck_out(whole: Recording, recording: Recording) -> dict[str, NDArray[np.i
     whole, recording : Recording
         With all of them, and without the outliers; with the same stamps.
     """
-    from insemu.gap.drive.apart import FIRST
+    from insemu.gap.drive.fix_outliers import FIRST
 
     return which({k: np.setdiff1d(_stamps(whole, k), _stamps(recording, k)) for k in FIRST}, whole)
 
@@ -268,7 +268,7 @@ def both_told(whole: Recording, first: Told, then: Told) -> dict[str, NDArray[np
 
 def _stamps(recording: Recording, effect: str) -> Array:
     """Times (k,) of the positions, or of the velocities, that there are, s: of those of which an effect makes outliers."""
-    from insemu.gap.drive.apart import FIRST
+    from insemu.gap.drive.fix_outliers import FIRST
 
     gnss = recording.gnss
     values = None if gnss is None else gnss.llh if FIRST[effect] == 0 else gnss.vel_ned

@@ -23,7 +23,7 @@ from insemu.gap.candidates.robust import excess_of, is_lasting
 from insemu.gap.candidates.shapes import LAGGED, ONCE, PROCESSES, Change, bank, shape_values
 from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.confusion import Repetitions
-from insemu.gap.drive.apart import FIRST, hardly_followed
+from insemu.gap.drive.fix_outliers import FIRST, hardly_followed
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import joint_noise
 from insemu.gap.evidence.linear import Block
