@@ -30,6 +30,7 @@ ROOMS = (
     "transfer",
     "array",
     "require",
+    "referee",
     "drives",
     "gap",
     "units",

@@ -53,6 +53,7 @@ _TOP = {
             "find_gap",
             "solve",
             "require",
+            "referee",
             "plot",
             "load",
         ),

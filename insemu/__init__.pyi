@@ -9,6 +9,7 @@ from insemu.api import fit as fit
 from insemu.api import load as load
 from insemu.api import plot as plot
 from insemu.api import read as read
+from insemu.api import referee as referee
 from insemu.api import require as require
 from insemu.api import run as run
 from insemu.api import select as select

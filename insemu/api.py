@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from insemu.gap import GapReport, Nominal, StaticLog
     from insemu.intake import Card
     from insemu.noise import NoiseModel, Process
+    from insemu.referee import Judgement
     from insemu.require import Answer
     from insemu.scenario import Scenario
     from insemu.solve import Solution
@@ -537,6 +538,37 @@ def require(
     asked = [requirements] if isinstance(requirements, str) else list(requirements)
     wish = wish_of(str(track), vehicle, fixes)
     return one(asked, wish, Path("scenario.yaml").absolute(), aids=aids, have=have, road=transfer)
+
+
+def referee(
+    filters: str | Sequence[str] = (),
+    *,
+    worlds: Sequence[str] = (),
+    realizations: int = 48,
+    seed: int = 1,
+    false_alarm: float = 0.01,
+    workers: int = 1,
+) -> list[Judgement]:
+    """Whether filters state their own errors, as ``insemu referee`` says it; nothing is written.
+
+    Parameters
+    ----------
+    filters : str or sequence of str
+        Names of families or adapters, ``FILE.py:CLASS``, ``MODULE:CLASS``, or folders of estimates; all families unless given.
+    worlds : sequence of str
+        Only these; all unless given.
+    realizations, seed, false_alarm, workers
+        See :func:`insemu.referee.referee`.
+
+    Raises
+    ------
+    InputError
+        No such filter or world.
+    """
+    from insemu.referee import referee as judge
+
+    asked = [filters] if isinstance(filters, str) else list(filters)
+    return judge(asked, names=worlds, realizations=realizations, seed=seed, false_alarm=false_alarm, workers=workers)
 
 
 def plot(result: Any, axes: Drawing | None = None, *, view: int | str = 0) -> Drawing | Figure:

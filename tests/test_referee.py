@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import insemu as ins
 from insemu.cli import main
 from insemu.errors import InputError
 from insemu.evaluate import share_interval, smallest_found
@@ -137,3 +138,28 @@ def test_what_is_no_filter_or_world_is_named():
         referee(["ekv"], names=["rest"])
     with pytest.raises(InputError, match="no world 'rset'"):
         referee(["ekf"], names=["rset"])
+
+
+def test_python_says_what_the_command_says(tmp_path, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(
+            [
+                "referee",
+                "ekf",
+                "--worlds",
+                "rest",
+                "--realizations",
+                "2",
+                "--seed",
+                "3",
+                "--workers",
+                "1",
+                "--json",
+                "--output",
+                str(tmp_path),
+            ]
+        )
+    assert end.value.code in (0, None)
+    (said,) = json.loads(capsys.readouterr().out)
+    (found,) = ins.referee("ekf", worlds=["rest"], realizations=2, seed=3)
+    assert said == json.loads(json.dumps(found.to_json()))

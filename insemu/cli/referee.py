@@ -23,27 +23,26 @@ def command(
     to the byte for the same seed; what an epoch costs is in timing.json.
     """
     import json
+    import os
     from pathlib import Path
 
     from rich.console import Console
 
     from insemu.cli.printing import print_table
     from insemu.evaluate import only_writer
-    from insemu.filters import FAMILIES
     from insemu.referee import REALIZATIONS, SEED, referee
     from insemu.report import referee_answer, render_referee, start_rows, world_rows
     from insemu.whole import put
 
-    asked = filters or [*FAMILIES, "ukf"]
     folder, console, aside = Path(out or "results/referee"), Console(), Console(stderr=True)
     with only_writer(folder), aside.status("") as status:
         found = referee(
-            asked,
+            filters or (),
             names=[n.strip() for n in worlds.split(",") if n.strip()],
             realizations=realizations or REALIZATIONS,
             seed=SEED if seed is None else seed,
             false_alarm=false_alarm,
-            workers=workers or 1,
+            workers=workers or os.cpu_count() or 1,
             progress=lambda name, world: status.update(f"{name}: {world}"),
         )
         document = json.dumps([j.to_json() for j in found], indent=1, allow_nan=False)

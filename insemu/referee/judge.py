@@ -27,7 +27,7 @@ from insemu.evaluate import (
     share_interval,
     smallest_found,
 )
-from insemu.filters import named_filter
+from insemu.filters import FAMILIES, named_filter
 from insemu.referee.flights import Drift, Flights, converged, cost, drifts
 from insemu.referee.worlds import World, starts, worlds
 from insemu.shown import count_of
@@ -251,7 +251,7 @@ def referee(
     Parameters
     ----------
     filters : sequence of str
-        As :func:`insemu.filters.named_filter` takes them.
+        As :func:`insemu.filters.named_filter` takes them; all that come with insemu unless given.
     names : sequence of str
         Worlds; all unless given.
     realizations : int
@@ -271,7 +271,7 @@ def referee(
     if not 0.0 < false_alarm < 1.0:
         raise InputError(f"false_alarm is {false_alarm!r}, expected a probability between 0 and 1")
     chosen, out = worlds(names), []
-    for given in filters:
+    for given in filters or [*FAMILIES, "ukf"]:
         label, filter, settings, correlated = named_filter(given)
         flown: dict[str, Flights] = {}
         drift: dict[str, list[Drift]] = {}
