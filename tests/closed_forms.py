@@ -12,6 +12,7 @@ import pywt
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2, norm
 
+from insemu.evaluate import share_interval
 from insemu.noise import BI, GM, NoiseModel
 from insemu.units import scaled_unit
 
@@ -76,6 +77,9 @@ def main() -> int:
     print(
         f"speed on a linear path 6 km north of its origin at 45 deg: {100 * 6e3 / 6.37e6:.1f} % by the cosine of the latitude"
     )
+    most = 1.0 - 0.025 ** (1.0 / 24.0)  # Clopper and Pearson 1934
+    print(f"share of which 24 draws show none, 95 %: up to {100 * most:.1f} %")
+    same("interval of a share", share_interval(0, 24)[1], most, 1e-9)
     return _show(wrong)
 
 
