@@ -10,7 +10,7 @@ from insemu.evaluate import share_interval
 from insemu.report import page
 from insemu.report.charts import GREY, RED, Chart, Line, View
 from insemu.report.style import COLOURS
-from insemu.require import REGIONS, Guard
+from insemu.require import QUANTITIES, REGIONS, Guard
 
 
 def region_rows(found: Sequence[Guard]) -> tuple[list[str], list[list[str]]]:
@@ -27,21 +27,27 @@ def region_rows(found: Sequence[Guard]) -> tuple[list[str], list[list[str]]]:
     return ["flights", "requirement", "verdict", "within", *REGIONS], rows
 
 
-def _diagram(found: Sequence[Guard]) -> View:
+def _diagram(found: Sequence[Guard]) -> Chart:
     """Guards of one requirement: errors to the right, protection levels upwards."""
     r = found[0].requirement
+    unit = QUANTITIES[r.quantity][1]
+    unit, scale = ("deg", 180.0 / np.pi) if unit == "rad" else (unit, 1.0)
+    limit = scale * r.limit
     lines = [
-        Line(g.subject, g.protection, COLOURS[k % len(COLOURS)], points=True, width=5.0, x=g.error, text=[g.subject] * g.error.size)
+        Line(g.subject, scale * g.protection, COLOURS[k % len(COLOURS)], points=True, width=5.0, x=scale * g.error, text=[g.subject] * g.error.size)
         for k, g in enumerate(found)
     ]  # fmt: skip
-    both = np.concatenate([np.concatenate([g.error, g.protection]) for g in found])
-    ends = np.array([max(both.min(), 1e-3 * r.limit), max(both.max(), 2.0 * r.limit)])
+    both = scale * np.concatenate([np.concatenate([g.error, g.protection]) for g in found])
+    ends = np.array([max(both.min(), 1e-3 * limit), max(both.max(), 2.0 * limit)])
     lines += [
         Line("protection level = error", ends, GREY, dashed=True, x=ends),
-        Line("alert limit", [r.limit] * 2, RED, x=ends),
-        Line("alert limit of the error", ends, RED, of="alert limit", x=[r.limit] * 2),
+        Line("alert limit", [limit] * 2, RED, x=ends),
+        Line("alert limit of the error", ends, RED, of="alert limit", x=[limit] * 2),
     ]
-    return View(r.text, "protection level (SI)", lines, log_y=True)
+    return Chart(
+        "Stanford diagram", "One point a flight. Right of and below the red lines: hazardous, which the filter does not notice.",
+        None, f"error ({unit})", [View(r.text, f"protection level ({unit})", lines, log_y=True)], log_x=True, group="integrity",
+    )  # fmt: skip
 
 
 def integrity_sections(found: Sequence[Guard]) -> list[page.Section]:
@@ -49,10 +55,7 @@ def integrity_sections(found: Sequence[Guard]) -> list[page.Section]:
     if not found:
         return []
     requirements = dict.fromkeys(g.requirement for g in found)
-    chart = Chart(
-        "Stanford diagram", "One point a flight. Right of the red line and below the other: hazardous, the filter does not know it.", None,
-        "error (SI)", [_diagram([g for g in found if g.requirement == r]) for r in requirements], log_x=True, group="integrity",
-    )  # fmt: skip
+    charts = [_diagram([g for g in found if g.requirement == r]) for r in requirements]
     said = "; ".join(f"{name}: {what}" for name, what in REGIONS.items())
     about = f"E error, P protection level from the stated covariance at the risk that the requirement leaves, A its limit. {said}."
-    return [page.Section("Integrity", [page.Table(*region_rows(found), caption=about, left=3, wrap=True), chart])]
+    return [page.Section("Integrity", [page.Table(*region_rows(found), caption=about, left=3, wrap=True), *charts])]
