@@ -155,6 +155,8 @@ def test_spread_counts_outages_that_overlap_once() -> None:
         return high - low
 
     assert width(slow) > 3 * width(fast)
+    # what lies at the ends counts as often as the rest: the interval holds its value
+    width(np.where(start < 10.0, 20.0, 1.0)[:, None] * slow)
 
 
 def test_two_filters_are_compared_by_the_outages_that_they_share() -> None:

@@ -99,7 +99,7 @@ class Outages:
         return float(0.5 * (squares + size).mean()) if squares.size else np.nan
 
     def interval(self, at: int, *, seed: int = 0, draws: int = 1000) -> tuple[float, float]:
-        """95 % interval of the rms by a moving-block bootstrap (Künsch 1989): outages that overlap are not independent.
+        """95 % interval of the rms by a circular block bootstrap (Politis and Romano 1992): outages that overlap are not independent.
 
         Parameters
         ----------
@@ -144,12 +144,15 @@ class Outages:
         return float(np.sqrt(one / two)), float(low), float(high)
 
     def _blocks(self, n: int, at: int, seed: int, draws: int) -> NDArray[np.int64] | None:
-        """Rows of n outages that the bootstrap draws, (draws, n): blocks of twice the horizon; None where there are not two of them."""
+        """Rows of n outages that the bootstrap draws, (draws, n): blocks of twice the horizon; None where there are not two of them.
+
+        The last outage is followed by the first, so that all are drawn equally often.
+        """
         length = int(2 * self.horizons[at] / max(self.step, 1e-9)) + 1
         if n < 2 * length:
             return None
-        first = np.random.default_rng(seed).integers(0, n - length + 1, (draws, -(-n // length)))
-        return (first[:, :, None] + np.arange(length)).reshape(draws, -1)[:, :n]
+        first = np.random.default_rng(seed).integers(0, n, (draws, -(-n // length)))
+        return (first[:, :, None] + np.arange(length)).reshape(draws, -1)[:, :n] % n
 
     def figures(self) -> list[dict[str, Any]]:
         """The score as plain data, one entry per horizon."""
