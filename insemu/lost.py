@@ -30,6 +30,8 @@ FEWEST_REPEATS, ABOVE_CHANCE, MOST_LOST = 3, 10.0, 0.1
 STRAY, LONGEST_S = 0.25, 0.5
 #: Share of steps that must be whole intervals: stamps that stray more often say nothing.
 WHOLE_STEPS = 0.98
+#: What is done with lost samples, in words.
+FILLED_IN = "are filled in by the samples around them"
 #: Sides of a real gap on which one of the same length is tried, :data:`NEAR` samples from it.
 BESIDE = (-1, 1)
 
@@ -64,6 +66,12 @@ class Lost:
     rows: NDArray[np.bool_]
     nats: float
     stretches: tuple[Filled, ...]
+
+    @property
+    def said(self) -> str:
+        """How many there are and what shows it, in words."""
+        shown = "rows repeat the row before" if self.held else "stamps skip them"
+        return f"{int(self.rows.sum())} samples of the IMU are lost, where {shown}"
 
     @property
     def bursts(self) -> int:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from insemu.errors import InputError
 from insemu.filters import BRIDGED_S, Alignment, How, LooselyCoupledEKF, cut, start, with_standard_deviations
 from insemu.intake import Card, velocity_lag
-from insemu.lost import restored
+from insemu.lost import FILLED_IN, restored
 from insemu.records import AidRecord, GnssRecord, ImuRecord, InitialState, Preparation, Recording, Trajectory
 from insemu.rotation import dcm_from_rpy
 from insemu.stamps import Origin
@@ -255,15 +255,8 @@ def prepared(recording: Recording, stated: Stated = Stated()) -> Drive:
         raise InputError("has no GNSS fixes; name the file that does with --gnss", where=where)
     said = [*recording.notes, *(recording.preparation.said if recording.preparation else ())]
     imu, lost = restored(recording.imu)
-    done = (
-        "are filled in by the samples around them"
-        if stated.corrected
-        else "stay so (a design that compensates dropped_samples flies them filled in)"
-    )
-    said += [
-        f"{int(each.rows.sum())} samples of the IMU are lost, where {'rows repeat the row before' if each.held else 'stamps skip them'}: they {done}"
-        for each in lost
-    ]
+    done = FILLED_IN if stated.corrected else "stay so (a design that compensates dropped_samples flies them filled in)"
+    said += [f"{each.said}: they {done}" for each in lost]
     late, measured = stated.imu_late, recording
     recording = (replace(recording, imu=imu) if stated.corrected else recording).imu_later(-late)
     imu = _asked(recording.imu, stated, where)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from insemu import rotation
 from insemu.errors import InputError
+from insemu.lost import FILLED_IN, REST_S, filled, restored
 from insemu.records import ImuRecord
 
 Array = NDArray[np.float64]
@@ -52,6 +53,8 @@ class Differenced:
         Standard deviations of the time offset, the three angles of a small turn, the lever arm.
     correlation : float
         Of the magnitudes of the two turn rates at that offset.
+    said : tuple of str
+        What was done with lost samples.
     """
 
     t: Array
@@ -62,6 +65,7 @@ class Differenced:
     lever_arm: Array
     sigma: Array
     correlation: float
+    said: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -95,7 +99,7 @@ class _Reference:
 
 
 def difference(unit: ImuRecord, reference: ImuRecord, *, search_s: float = 10.0) -> Differenced:
-    """Error signals of a unit under dynamics, from a reference on the same rigid mount.
+    """Error signals of a unit under dynamics, from a reference on the same rigid mount; lost samples of both are filled in.
 
     Parameters
     ----------
@@ -113,6 +117,8 @@ def difference(unit: ImuRecord, reference: ImuRecord, *, search_s: float = 10.0)
     InputError
         Gaps, too short, no common motion, or a motion that does not tell time offset or mounting.
     """
+    unit, lost = restored(unit)
+    reference, skipped = restored(reference)
     for name, imu in (("unit", unit), ("reference", reference)):
         gaps = imu.gaps(1.5 * imu.dt)
         if gaps:
@@ -131,16 +137,23 @@ def difference(unit: ImuRecord, reference: ImuRecord, *, search_s: float = 10.0)
             f"the motion tells the time offset to {1e3 * sigma[0]:.2g} ms and the mounting to {np.degrees(sigma[1:4].max()):.2g} deg (1 sigma), "
             f"expected {1e3 * OFFSET_SIGMA * unit.dt:.2g} ms and {np.degrees(MOUNTING_SIGMA):.2g} deg: more turns about all axes"
         )
-    used = unit.rows(_covered(unit, source, 0.0, fit.offset))
+    inside = _covered(unit, source, 0.0, fit.offset)
+    used, gone = unit.rows(inside), np.any([each.rows[inside] for each in lost] or np.zeros((1, inside.sum())), axis=0)
+    values = used.rates() - source.seen(fit, used.t - unit.dt, used.t)
     return Differenced(
         used.t,
-        used.rates() - source.seen(fit, used.t - unit.dt, used.t),
+        filled(
+            values[~gone], gone, REST_S / unit.dt
+        ),  # errors have no motion that a filled sample would follow too little
         1.0 / unit.dt,
         fit.offset,
         rotation.rpy_from_dcm(fit.turn.T),
         fit.arm,
         sigma,
         correlation,
+        tuple(
+            f"{name}: {x.said}: they {FILLED_IN}" for name, of in (("unit", lost), ("reference", skipped)) for x in of
+        ),
     )
 
 
