@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.report.charts import GREY, INK, RED, Chart, Line, View, positive
+from insemu.report.charts import GREY, INK, RED, Chart, Line, View, band, positive
 from insemu.report.style import COLOURS
 from insemu.units import conversion
 from insemu.variance import FLICKER, octave_psd
@@ -83,11 +83,7 @@ def _with_interval(
     low, high = (np.where(known, shown(positive(bound)), np.nan) for bound in (curve.low, curve.high))
     value = shown(positive(curve.value))
     name = f"{axis.name}: 95 %"
-    lines = [
-        Line(axis.name, value, colour),
-        Line(name, low, colour, width=0.0, of=axis.name),
-        Line(f"{name} high", high, colour, width=0.0, fill_to=at + 1, of=axis.name),
-    ]
+    lines = [Line(axis.name, value, colour), *band(name, low, high, colour, at + 1, axis.name)]
     return lines, [(curve.tau_s, y) for y in (value, low, high)]
 
 

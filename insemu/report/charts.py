@@ -85,6 +85,14 @@ class Line:
         return plain if self.text is None else {**plain, "text": list(self.text)}
 
 
+def band(name: str, low: ArrayLike, high: ArrayLike, colour: str, at: int, of: str = "") -> list[Line]:
+    """The space between two edges, with one name in the legend; ``at`` lines of the view stand in front of it."""
+    return [
+        Line(name, low, colour, width=0.0, of=of),
+        Line(f"{name}, high", high, colour, width=0.0, fill_to=at, of=of or name),
+    ]
+
+
 @dataclass(frozen=True)
 class View:
     """What a chart shows at a time.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from insemu import earth
 from insemu.evaluate import Results, chi_square_bounds, chosen, outage_table, within_outage
-from insemu.report.charts import GREY, INK, RED, Chart, Line, View, positive, strokes
+from insemu.report.charts import GREY, INK, RED, Chart, Line, View, band, positive, strokes
 from insemu.report.style import COLOURS
 from insemu.shown import count_of
 
@@ -226,10 +226,7 @@ def nees_chart(results: Results, confidence: float = 0.99) -> Chart:
         Line(design, positive(results.total.mean("nees", d)[at] / 9.0), colour(d))
         for d, design in enumerate(results.names)
     ]
-    name = f"{confidence:.0%} bounds"
-    lines += [
-        Line(name, np.full(at.size, b), GREY, dashed=True, of=of) for b, of in zip(bounds, ("", name), strict=True)
-    ]
+    lines += band(f"{confidence:.0%} bounds", *(np.full(at.size, b) for b in bounds), GREY, len(lines))
     return _over_time(
         "Consistency",
         "NEES (normalised estimation error squared) of the navigation states per degree of freedom, mean over "
@@ -381,12 +378,9 @@ def smoother_chart(results: Results) -> Chart:
     for d, name in enumerate(results.names):
         lines: list[Line] = []
         for label, hue, of in (("filter", COLOURS[1], ""), ("smoother", COLOURS[0], "smoothed_")):
-            error, band = results[f"{of}error"][d, 0, inside, 0], 3.0 * results[f"{of}sigma"][d, 0, inside, 0]
-            lines += [
-                Line(label, error, hue),
-                Line(f"{label}: 3 sigma", -band, hue, width=0.0, of=label),
-                Line(f"{label}: +3 sigma", band, hue, width=0.0, fill_to=len(lines) + 1, of=label),
-            ]
+            error, wide = results[f"{of}error"][d, 0, inside, 0], 3.0 * results[f"{of}sigma"][d, 0, inside, 0]
+            lines.append(Line(label, error, hue))
+            lines += band(f"{label}: 3 sigma", -wide, wide, hue, len(lines), label)
         views.append(View(name, "error north (m)", lines))
     return Chart(
         "Smoothing",

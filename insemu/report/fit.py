@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from insemu.fit import FitResult
 from insemu.noise import process_label
 from insemu.records import Series
 from insemu.report import page
-from insemu.report.charts import GREY, INK, RED, Chart, Line, View, familiar, positive
+from insemu.report.charts import GREY, INK, RED, Chart, Line, View, band, familiar, positive
 from insemu.report.style import COLOURS
 from insemu.variance import average_frequencies, expected_variance, longest_good_part, psd, wavelet_variance
 
@@ -26,15 +25,6 @@ LEAST_OF_SPECTRUM = 64
 DRAWS = 20
 #: Different models that the answer names.
 MOST_TOLD = 3
-
-
-def _band(name: str, edges: tuple[ArrayLike, ArrayLike], colour: str, at: int, of: str = "") -> list[Line]:
-    """The space between two edges, of which only the name is seen; ``at`` lines stand in front of it."""
-    low, high = (positive(e) for e in edges)
-    return [
-        Line(name, low, colour, width=0.0, of=of),
-        Line(f"{name}, high", high, colour, width=0.0, fill_to=at, of=of or name),
-    ]
 
 
 def drawable(result: FitResult) -> bool:
@@ -58,8 +48,8 @@ def decomposition(results: Mapping[str, FitResult], rng: np.random.Generator, dr
         curve = result.curve
         assert curve is not None
         lines = [Line("signal", np.sqrt(positive(curve.value)), INK, points=True, width=4.0)]
-        interval = (np.sqrt(positive(curve.low)), np.sqrt(positive(curve.high)))
-        lines += _band(f"{curve.confidence:.0%} interval", interval, INK, 1, of="signal")
+        interval = (np.sqrt(positive(edge)) for edge in (curve.low, curve.high))
+        lines += band(f"{curve.confidence:.0%} interval", *interval, INK, 1, of="signal")
         if drawable(result):
             lines.append(Line("model", np.sqrt(positive(result.fitted)), RED, width=2.2))
             for i, (index, p) in enumerate(result.model.indexed()):
@@ -71,8 +61,8 @@ def decomposition(results: Mapping[str, FitResult], rng: np.random.Generator, dr
                 np.sqrt(wavelet_variance(x, result.rate_hz, filter=curve.filter, intervals="eta3").value)
                 for x in (result.model.simulate(result.n_samples, result.dt, one) for one in child.spawn(draws))
             ]
-            edges = (np.min(drawn, axis=0), np.max(drawn, axis=0))
-            lines += _band(f"range of {draws} draws from the model", edges, GREY, len(lines))
+            edges = (positive(edge(drawn, axis=0)) for edge in (np.min, np.max))
+            lines += band(f"range of {draws} draws from the model", *edges, GREY, len(lines))
         title = f"{axis}: {result.structure} by {result.method}"
         lines, unit = familiar(lines, result.unit)
         views.append(View(title, f"wavelet deviation ({unit})", lines, log_y=True, x=curve.tau_s))
@@ -109,7 +99,8 @@ def spectrum(results: Mapping[str, FitResult], series: Mapping[str, Series]) -> 
             continue
         averaged = average_frequencies(psd(s.values[start:stop], s.rate_hz))
         lines = [Line("signal (Welch)", np.sqrt(averaged.psd), INK)]
-        lines += _band("95 % interval", (np.sqrt(averaged.low), np.sqrt(averaged.high)), INK, 1, of="signal (Welch)")
+        interval = (positive(np.sqrt(edge)) for edge in (averaged.low, averaged.high))
+        lines += band("95 % interval", *interval, INK, 1, of="signal (Welch)")
         if drawable(result):
             lines.append(Line("model", np.sqrt(positive(result.model.psd(averaged.f_hz, result.dt))), RED, width=2.2))
         lines, unit = familiar(lines, f"{result.unit or 'unit'}/sqrt(Hz)")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.report.charts import GREY, INK, Chart, Line, View, familiar, positive, strokes
+from insemu.report.charts import GREY, INK, Chart, Line, View, band, familiar, positive, strokes
 from insemu.report.style import COLOURS
 
 if TYPE_CHECKING:
@@ -113,10 +113,7 @@ def innovation_chart(report: GapReport, when: str) -> Chart:
 
 def _between(bound: float, n: int) -> list[Line]:
     """A grey band around zero."""
-    return [
-        Line("19 of 20", np.full(n, -bound), GREY, width=0.0),
-        Line("19 of 20, high", np.full(n, bound), GREY, width=0.0, fill_to=0, of="19 of 20"),
-    ]
+    return band("19 of 20", np.full(n, -bound), np.full(n, bound), GREY, 0)
 
 
 def _dots(values: NDArray[Any], names: Sequence[str] = _DIRECTIONS) -> list[Line]:

@@ -11,7 +11,7 @@ import numpy as np
 from insemu.evaluate import share_interval
 from insemu.referee import POWER, Judged, Judgement
 from insemu.report import page
-from insemu.report.charts import GREY, Chart, Line, View
+from insemu.report.charts import GREY, Chart, Line, View, band
 from insemu.report.style import COLOURS
 from insemu.shown import count_of
 
@@ -120,10 +120,7 @@ def _nees(found: Sequence[Judgement]) -> Chart | None:
         tests = [v for v in first.tests if v.test == "NEES/dof"]
         if not lines or not tests:
             continue
-        lines += [
-            Line(name, np.full(t.size, value), GREY, dashed=True, of=of)
-            for name, value, of in (("bounds", tests[0].low, ""), ("upper bound", tests[0].high, "bounds"))
-        ]
+        lines += band("bounds", *(np.full(t.size, v) for v in (tests[0].low, tests[0].high)), GREY, len(lines))
         views.append(View(first.world.name, "NEES of nine states per state", lines, x=t, log_y=True))
     if not views:
         return None

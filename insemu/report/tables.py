@@ -39,6 +39,8 @@ def log_distance(results: Results) -> float | None:
 
 
 Cell = Callable[[Mapping[str, Any]], str]
+#: Cells that hold no value.
+NONE = ("", "-", "nan", "nan%")
 
 
 def _figure(key: str) -> Cell:
@@ -69,6 +71,13 @@ def _nees(row: Mapping[str, Any]) -> str:
     return short(row["nees_per_dof"])
 
 
+def _filled(columns: Sequence[tuple[str, Cell]], rows: Sequence[Mapping[str, Any]]) -> Table:
+    """A table without the columns that have no value in any row, such as errors of the attitude where no reference has one."""
+    cells = [[cell(row) for row in rows] for _, cell in columns]
+    kept = [k for k, column in enumerate(cells) if not rows or any(text not in NONE for text in column)]
+    return [columns[k][0] for k in kept], [[cells[k][row] for k in kept] for row in range(len(rows))]
+
+
 def short_headline(results: Results) -> Table:
     """The headline table for a terminal: what decides stands first, so that 80 columns show it."""
     main = results.headline_figure
@@ -86,8 +95,7 @@ def short_headline(results: Results) -> Table:
         columns.insert(4, ("paper", lambda row: _published(row) or "-"))
     if main == "planimetric_end_m":
         columns.append(("95 %", _interval("-")))
-    rows = outage_rows(results)
-    return [heading for heading, _ in columns], [[cell(row) for _, cell in columns] for row in rows]
+    return _filled(columns, outage_rows(results))
 
 
 def page_headline(results: Results) -> Table:
@@ -107,8 +115,7 @@ def page_headline(results: Results) -> Table:
         columns.insert(4, ("95 %", _interval(" to ")))
     if results.published:
         columns.insert(4, ("published", _published))
-    rows = outage_rows(results)
-    return [heading for heading, _ in columns], [[cell(row) for _, cell in columns] for row in rows]
+    return _filled(columns, outage_rows(results))
 
 
 def full_headline(results: Results) -> Table:
@@ -135,8 +142,7 @@ def full_headline(results: Results) -> Table:
         after = {"planimetric_mean_m": "mean m", "planimetric_max_m": "max m"}.get(results.headline_figure, "95 %")
         at = [heading for heading, _ in columns].index(after) + 1
         columns.insert(at, ("published", _published))
-    rows = outage_rows(results)
-    return [heading for heading, _ in columns], [[cell(row) for _, cell in columns] for row in rows]
+    return _filled(columns, outage_rows(results))
 
 
 def beside(results: Results, figure: str) -> Table:
