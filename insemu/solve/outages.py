@@ -29,6 +29,8 @@ STEP_S, NEAR_S = 0.1, 0.6
 SETTLED_S, SETTLED_FACTOR = 30.0, 2.0
 #: An outage begins where the last fix is no older than so many usual steps of the fixes; a longer step is a gap of the recording itself.
 USUAL_STEPS = 1.5
+#: Draws of the bootstrap behind an interval.
+DRAWS = 1000
 #: Gaps of the recording are listed from this length on, s, where they are also five usual steps long.
 GAP_S, GAP_STEPS = 2.0, 5.0
 
@@ -98,24 +100,13 @@ class Outages:
         squares, size = self._squares(at)
         return float(0.5 * (squares + size).mean()) if squares.size else np.nan
 
-    def interval(self, at: int, *, seed: int = 0, draws: int = 1000) -> tuple[float, float]:
-        """95 % interval of the rms by a circular block bootstrap (Politis and Romano 1992): outages that overlap are not independent.
-
-        Parameters
-        ----------
-        at : int
-            Which horizon.
-        seed, draws : int
-            Of the bootstrap.
-        """
+    def interval(self, at: int) -> tuple[float, float]:
+        """95 % interval of the rms by a circular block bootstrap (Politis and Romano 1992): outages that overlap are not independent."""
         squares = self._horizontal(at)[np.isfinite(self.error[:, at, 0])]
-        rows = self._blocks(squares.size, at, seed, draws)
-        if rows is None:
-            return np.nan, np.nan
-        low, high = np.quantile(np.sqrt(np.maximum(squares[rows].mean(axis=1), 0.0)), (0.025, 0.975))
+        low, high = np.quantile(np.sqrt(self._drawn(squares[:, None], at)[:, 0]), (0.025, 0.975))
         return float(low), float(high)
 
-    def ratio(self, other: Outages, at: int, *, seed: int = 0, draws: int = 1000) -> tuple[float, float, float]:
+    def ratio(self, other: Outages, at: int) -> tuple[float, float, float]:
         """The rms over that of another filter at the same outages, with its 95 % interval: both are drawn with the same blocks.
 
         Parameters
@@ -124,8 +115,6 @@ class Outages:
             That begin at the same seconds.
         at : int
             Which horizon.
-        seed, draws : int
-            Of the bootstrap, as in :meth:`interval`.
 
         Returns
         -------
@@ -134,25 +123,25 @@ class Outages:
         """
         known = np.isfinite(self.error[:, at, 0]) & np.isfinite(other.error[:, at, 0])
         pairs = np.column_stack([self._horizontal(at)[known], other._horizontal(at)[known]])
-        rows = self._blocks(len(pairs), at, seed, draws)
-        if rows is None or pairs[:, 1].sum() <= 0.0:
+        drawn = self._drawn(pairs, at)
+        if pairs[:, 1].sum() <= 0.0 or np.isnan(drawn).any():
             return np.nan, np.nan, np.nan
-        drawn = np.maximum(pairs[rows].mean(axis=1), 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
             low, high = np.nanquantile(np.sqrt(drawn[:, 0] / drawn[:, 1]), (0.025, 0.975))
         one, two = np.maximum(pairs.mean(axis=0), 0.0)
         return float(np.sqrt(one / two)), float(low), float(high)
 
-    def _blocks(self, n: int, at: int, seed: int, draws: int) -> NDArray[np.int64] | None:
-        """Rows of n outages that the bootstrap draws, (draws, n): blocks of twice the horizon; None where there are not two of them.
+    def _drawn(self, squares: Array, at: int) -> Array:
+        """Means of the columns of (n, k) squares of outages that the bootstrap draws, (:data:`DRAWS`, k), at least 0; NaN of fewer than two blocks.
 
-        The last outage is followed by the first, so that all are drawn equally often.
+        Blocks are twice the horizon long, and the last outage is followed by the first, so that all are drawn equally often.
         """
-        length = int(2 * self.horizons[at] / max(self.step, 1e-9)) + 1
+        n, length = len(squares), int(2 * self.horizons[at] / max(self.step, 1e-9)) + 1
         if n < 2 * length:
-            return None
-        first = np.random.default_rng(seed).integers(0, n, (draws, -(-n // length)))
-        return (first[:, :, None] + np.arange(length)).reshape(draws, -1)[:, :n] % n
+            return np.full((1, squares.shape[1]), np.nan)
+        first = np.random.default_rng(0).integers(0, n, (DRAWS, -(-n // length)))
+        rows = (first[:, :, None] + np.arange(length)).reshape(DRAWS, -1)[:, :n] % n
+        return np.maximum(squares[rows].mean(axis=1), 0.0)
 
     def figures(self) -> list[dict[str, Any]]:
         """The score as plain data, one entry per horizon."""
