@@ -29,6 +29,8 @@ from insemu.evaluate import (
 from insemu.evaluate.dataset import labelled
 from insemu.evaluate.results import DesignInfo
 from insemu.records import Trajectory
+from insemu.report.experiment_charts import nees_chart
+from insemu.report.tables import full_headline
 
 
 def trajectory(t: np.ndarray) -> Trajectory:
@@ -240,3 +242,14 @@ def test_errors_are_estimate_minus_truth() -> None:
     assert e[0, 8] == pytest.approx(1e-3)
     with pytest.raises(InputError, match="different epochs"):
         navigation_error(moved, trajectory(t + 0.5))
+
+
+def test_a_table_has_no_column_without_a_value() -> None:
+    """Of a recording whose reference has no attitude."""
+    whole, bare = results(), results()
+    bare.data["error"].values[..., 6:] = np.nan
+    (header, _), (less, rows) = full_headline(whole), full_headline(bare)
+    assert "attitude deg" in set(header) - set(less)
+    assert {len(row) for row in rows} == {len(less)} and not any("nan" in cell for row in rows for cell in row)
+    chart = nees_chart(whole)
+    assert [line.label for line in chart.views[0].lines if not line.of] == ["one", "two", "99% bounds"]
