@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -93,9 +93,16 @@ class Series:
 
 
 class _Timed:
-    """Prints as what it is, how much of it, and when."""
+    """Rows at times: prints as what it is, how much of it, and when."""
 
     t: Array
+
+    def __len__(self) -> int:
+        return self.t.size
+
+    def rows(self, keep: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Self:
+        """Some of the rows: a slice, a mask (n,), or their numbers."""
+        return replace(self, **{k: v[keep] for k, v in vars(self).items() if isinstance(v, np.ndarray)})  # type: ignore[type-var]
 
     def __repr__(self) -> str:
         kind = getattr(self, "kind", "")
@@ -166,9 +173,6 @@ class ImuRecord(_Timed):
         if n < 2:
             raise InputError(f"the IMU has {n} sample(s), expected at least two")
 
-    def __len__(self) -> int:
-        return self.t.size
-
     @cached_property
     def dt(self) -> float:
         """Sampling interval in s: the slope of the stamps over the samples that they count (:func:`insemu.sample_times.beat`)."""
@@ -221,11 +225,6 @@ class ImuRecord(_Timed):
         same = np.all((np.diff(self.gyro, axis=0) == 0.0) & (np.diff(self.accel, axis=0) == 0.0), axis=1)
         return np.concatenate([[False], same])
 
-    def rows(self, keep: slice | NDArray[np.bool_]) -> ImuRecord:
-        """Some rows of the record."""
-        temperature = None if self.temperature is None else self.temperature[keep]
-        return replace(self, t=self.t[keep], gyro=self.gyro[keep], accel=self.accel[keep], temperature=temperature)
-
 
 @dataclass(frozen=True, repr=False)
 class GnssRecord(_Timed):
@@ -267,16 +266,6 @@ class GnssRecord(_Timed):
             if getattr(self, name) is not None and (getattr(self, name) < 0.0).any():
                 k = int(np.argmax((getattr(self, name) < 0.0).any(axis=1)))
                 raise InputError(f"gnss_{name} row {k} is negative, expected standard deviations")
-
-    def __len__(self) -> int:
-        return self.t.size
-
-    def rows(self, keep: slice | NDArray[np.bool_]) -> GnssRecord:
-        """Some of the fixes."""
-        parts = {name: getattr(self, name) for name in ("vel_ned", "pos_std_ned", "vel_std_ned")}
-        return GnssRecord(
-            self.t[keep], self.llh[keep], **{name: None if v is None else v[keep] for name, v in parts.items()}
-        )
 
     def with_sigma(self, position: ArrayLike | None, velocity: ArrayLike | None) -> GnssRecord:
         """The same fixes with standard deviations (m, m/s; scalar or north, east, down) where the record states none; None leaves it so."""
@@ -355,9 +344,6 @@ class Trajectory(_Timed):
             object.__setattr__(self, attribute, frozen(getattr(self, attribute), f"trajectory {attribute}", (n, 3)))
         latitudes(self.llh, "trajectory llh")
 
-    def __len__(self) -> int:
-        return self.t.size
-
 
 @dataclass(frozen=True)
 class InitialState:
@@ -422,14 +408,6 @@ class AidRecord(_Timed):
             raise InputError(f"{self.kind} std has shape {self.std.shape}, expected {self.values.shape}")
         if self.since is not None:
             object.__setattr__(self, "since", frozen(self.since, f"{self.kind} since", (n,)))
-
-    def __len__(self) -> int:
-        return self.t.size
-
-    def rows(self, keep: NDArray[np.bool_]) -> AidRecord:
-        """Some of the measurements, ``keep`` (n,)."""
-        since = None if self.since is None else self.since[keep]
-        return replace(self, t=self.t[keep], values=self.values[keep], std=self.std[keep], since=since)
 
     def later(self, seconds: float) -> AidRecord:
         """The measurements with stamps that are so many seconds later."""

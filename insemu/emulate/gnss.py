@@ -129,8 +129,7 @@ def state_at(trajectory: Trajectory, t: ArrayLike) -> tuple[Array, Array, Array,
         own = slice(first, first + _AT_A_TIME)
         # what these times look at; of no time at all two nodes
         near = np.unique(np.append((k[own, None] + np.arange(-1, 3)).clip(0, last), [0, 1]))
-        some = Trajectory(trajectory.t[near], trajectory.llh[near], trajectory.vel_ned[near], trajectory.rpy[near])
-        parts.append(_between(some, t[own], np.searchsorted(near, k[own])))
+        parts.append(_between(trajectory.rows(near), t[own], np.searchsorted(near, k[own])))
     llh, v, q, w = (np.concatenate(found) for found in zip(*parts, strict=True))
     return llh, v, q, w
 

@@ -193,9 +193,8 @@ def ideal_stretches(
             ideal = _continuous(path, t, kind, mount, gravity, sampling)
         else:
             ideal, known = _exact(_imu_nodes(path, t, mount), kind, gravity, known)
-        r, own = ideal.reference, slice(first - begin, None)
-        reference = Trajectory(r.t[own], r.llh[own], r.vel_ned[own], r.rpy[own], r.name)
-        yield replace(ideal, imu=ideal.imu.rows(own), reference=reference)
+        own = slice(first - begin, None)
+        yield replace(ideal, imu=ideal.imu.rows(own), reference=ideal.reference.rows(own))
 
 
 def _imu_nodes(path: SmoothPath, t: Array, mount: Mounting) -> Trajectory:

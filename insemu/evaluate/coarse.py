@@ -27,7 +27,7 @@ from insemu.evaluate.segments import beside, even_root, summed
 from insemu.evaluate.twin import LinearTwin
 from insemu.evaluate.world import stream
 from insemu.filters import InitialSigma, LooselyCoupledEKF
-from insemu.records import GnssRecord, ImuRecord, Trajectory
+from insemu.records import GnssRecord, ImuRecord
 from insemu.strapdown import NavState, trajectory_of
 
 Array = NDArray[np.float64]
@@ -77,10 +77,8 @@ class CoarseTwin:
         shared, most = math.gcd(*(int(k) for k in ends)), max(1, int(STEP * world.rate_hz + 1e-9))
         self.rows = next(k for k in range(most, 0, -1) if shared % k == 0)
         at, r = np.arange(0, ends[-1] + 1, self.rows), world.reference
-        self._imu = ideal_imu(
-            Trajectory(r.t[at], r.llh[at], r.vel_ned[at], r.rpy[at], r.name), kind="increment", gravity=world.gravity
-        ).imu
-        self._truth = Trajectory(r.t[ends], r.llh[ends], r.vel_ned[ends], r.rpy[ends], r.name)
+        self._imu = ideal_imu(r.rows(at), kind="increment", gravity=world.gravity).imu
+        self._truth = r.rows(ends)
         rng = np.random.default_rng(0)  # only their standard deviations are asked for
         self._stated, self._fixes = world.fixes(rng), world.fixes(rng, ideal=True)
         self._filters = {name: _slower(linear.experiment, name, world.rate_hz / self.rows) for name in designs}

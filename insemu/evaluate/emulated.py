@@ -411,7 +411,7 @@ class EmulatedWorld:
         """The reference at the output epochs."""
         r = self.reference
         k = np.searchsorted(r.t, self.output_times)
-        return Trajectory(r.t[k], r.llh[k], r.vel_ned[k], r.rpy[k], r.name)
+        return r.rows(k)
 
     def imu_for(self, imu: ImuRecord, ekf: NavigationFilter) -> ImuRecord:
         """The data as they are."""
@@ -454,7 +454,7 @@ class EmulatedWorld:
         truth = self.truth_at_outputs
         rows = np.searchsorted(truth.t, times).clip(0, len(truth) - 1)
         if np.array_equal(times, truth.t[rows]):
-            truth = Trajectory(times, truth.llh[rows], truth.vel_ned[rows], truth.rpy[rows], truth.name)
+            truth = truth.rows(rows)
         else:
             at = np.clip(times, self.reference.t[0], self.reference.t[-1])
             llh, vel, q, _ = state_at(self.reference, at)

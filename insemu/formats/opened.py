@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from insemu.stamps import OWN, SECOND, Origin, counted
 from insemu.units import parse
 
 Array = NDArray[np.float64]
-
+_Record = TypeVar("_Record", ImuRecord, GnssRecord, Trajectory)
 
 #: Settings of the fixes, which belong to the file of the fixes where that is another one.
 OF_FIXES = ("latlon", "pos_unit", "height_unit", "vel_unit", "velocity", "gnss_shift", "gnss_move")
@@ -368,29 +369,12 @@ def _span(
     low = parse(first, "s") if first is not None else -np.inf
     high = parse(last, "s") if last is not None else np.inf
 
-    def keep(record: ImuRecord | GnssRecord | Trajectory | None) -> NDArray[np.bool_] | None:
+    def cut(record: _Record | None) -> _Record | None:
         if record is None:
             return None
         inside = (record.t >= low) & (record.t <= high)
         if not inside.any():
             raise InputError(f"nothing lies between {first or 'the start'} and {last or 'the end'}", where=where)
-        return np.asarray(inside)
+        return record.rows(inside)
 
-    def cut(values: Array | None, rows: NDArray[np.bool_]) -> Array | None:
-        return None if values is None else values[rows]
-
-    if imu is not None and (rows := keep(imu)) is not None:
-        imu = replace(
-            imu, t=imu.t[rows], gyro=imu.gyro[rows], accel=imu.accel[rows], temperature=cut(imu.temperature, rows)
-        )
-    if gnss is not None and (rows := keep(gnss)) is not None:
-        gnss = GnssRecord(
-            gnss.t[rows],
-            gnss.llh[rows],
-            cut(gnss.vel_ned, rows),
-            cut(gnss.pos_std_ned, rows),
-            cut(gnss.vel_std_ned, rows),
-        )
-    if truth is not None and (rows := keep(truth)) is not None:
-        truth = Trajectory(truth.t[rows], truth.llh[rows], truth.vel_ned[rows], truth.rpy[rows], truth.name)
-    return imu, gnss, truth
+    return cut(imu), cut(gnss), cut(truth)
