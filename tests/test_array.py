@@ -132,6 +132,28 @@ def test_columns_name_the_imu() -> None:
         gathered({"1": one["1"]})
 
 
+def test_lost_samples_of_a_unit_are_filled_in_and_said() -> None:
+    """The other samples stay in step with those of the other unit, and the noise is as white as it was."""
+    rng = np.random.default_rng(4)
+    values = rng.standard_normal((2, 20_000))
+    lost = rng.random(20_000) < 0.03
+    logs = {
+        name: {"gyro_x": Series(np.where(lost & (name == "two"), np.nan, x), 100.0, "rad/s", "gyro_x", gaps=True)}
+        for name, x in zip(("one", "two"), values, strict=True)
+    }
+    said: list[str] = []
+    signals, units = gathered(logs, said.append)
+    found = signals["gyro_x"][units.index("two")].values
+    assert np.array_equal(found[~lost], values[1, ~lost])
+    assert 0.9 < found[lost].std() < 1.1 and abs(np.corrcoef(found[1:], found[:-1])[0, 1]) < 0.03
+    assert said == [f"{lost.sum()} samples of gyro_x of two are lost: they are filled in by the samples around them"]
+    logs["two"]["gyro_x"] = Series(
+        np.where(rng.random(20_000) < 0.2, np.nan, values[1]), 100.0, "rad/s", "gyro_x", gaps=True
+    )
+    with pytest.raises(InputError, match="an array needs all of them"):
+        gathered(logs)
+
+
 def _logs(folder: Path) -> list[str]:
     """Two IMUs of one axis: the second has far less noise."""
     rng = np.random.default_rng(8)

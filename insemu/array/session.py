@@ -13,6 +13,7 @@ from insemu.array import weights as ways
 from insemu.array.metres import Flight, Quadratic, Response, log_variance, quadratic
 from insemu.errors import InputError
 from insemu.fit import FitResult, fit, fit_together
+from insemu.lost import FILLED_IN, MOST_LOST, REST_S, filled
 from insemu.noise import NoiseModel, Process, Seen, shared_processes
 from insemu.records import AXES, Series
 
@@ -159,7 +160,7 @@ def weigh(
     The weights of least metres and the filter's belief take turns: each step lowers the mean square, for the gains of the best filter are
     those of least mean square under the weights (Gelb 1974), and the weights are the minimum of a quadratic form under the gains.
     """
-    signals, units = gathered(logs)
+    signals, units = gathered(logs, say)
     fits = {axis: _fitted(axis, list(of), model, say) for axis, of in signals.items()}
     array = _Array(flight, fits, {a: (plus or {}).get(a, NoiseModel()) for a in signals})
     say("wavelet covariances of the units")
@@ -193,8 +194,10 @@ def weigh(
     return ArrayFit(units, signals, fits, tuple(weightings), shares, _dependent(fits, matrices, units))
 
 
-def gathered(logs: Mapping[str, Mapping[str, Series]]) -> tuple[dict[str, list[Series]], tuple[str, ...]]:
-    """Signals by axis, in the order of the units, cut to a common length; raises ``InputError`` where they make no array."""
+def gathered(
+    logs: Mapping[str, Mapping[str, Series]], say: Callable[[str], None] = lambda text: None
+) -> tuple[dict[str, list[Series]], tuple[str, ...]]:
+    """Signals by axis, in the order of the units, cut to a common length, lost samples filled in; raises ``InputError`` where they make no array."""
     units = tuple(logs)
     if len(units) < 2:
         raise InputError(f"found {len(units)} IMU, expected two or more")
@@ -206,11 +209,22 @@ def gathered(logs: Mapping[str, Mapping[str, Series]]) -> tuple[dict[str, list[S
         if sorted(of) != sorted(axes):
             raise InputError(f"has the axes {', '.join(of)}, expected {', '.join(axes)} as {units[0]}", where=unit)
         for s in of.values():
-            s.complete("an array")
+            if s.missing > MOST_LOST * len(s):
+                s.complete("an array")
+            if s.missing:
+                say(f"{s.missing} samples of {s.name} of {unit} are lost: they {FILLED_IN}")
             if abs(s.rate_hz / rate - 1.0) > 1e-4:
                 raise InputError(f"is sampled at {s.rate_hz:g} Hz, expected {rate:g} Hz as {units[0]}", where=unit)
     n = min(len(s) for of in logs.values() for s in of.values())
-    return {a: [replace(logs[u][a], values=logs[u][a].values[:n], rate_hz=rate) for u in units] for a in axes}, units
+    return {
+        a: [replace(logs[u][a], values=_whole(logs[u][a])[:n], rate_hz=rate, gaps=False) for u in units] for a in axes
+    }, units
+
+
+def _whole(s: Series) -> Array:
+    """The values with lost samples drawn from what those around them leave open, so that noise stays as white as it is."""
+    gone = ~np.isfinite(s.values)
+    return filled(s.values[~gone, None], gone, REST_S * s.rate_hz, np.random.default_rng(gone.size))[:, 0]
 
 
 def _fitted(axis: str, signals: list[Series], model: str, say: Callable[[str], None]) -> list[FitResult]:
