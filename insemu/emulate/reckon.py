@@ -82,10 +82,7 @@ def dead_reckon(recording: Recording, *, gravity: str = "normal", start: NavStat
             "do not overlap",
             where=recording.source,
         )
-    first = int(np.argmax(inside))
-    increments = imu.as_increments()
-    if first:
-        increments = _from(increments, first)
+    increments = imu.as_increments().rows(slice(int(np.argmax(inside)), None))
     first_t = np.clip(increments.t[:1], reference.t[0], reference.t[-1])
     llh, vel, q, _ = state_at(reference, first_t)
     initial = np.concatenate([llh[0], vel[0], q[0]])
@@ -134,10 +131,6 @@ def _flown(
         errors=errors,
         against="reference" if isinstance(reference, Trajectory) else "fixes",
     )
-
-
-def _from(imu: ImuRecord, first: int) -> ImuRecord:
-    return ImuRecord(imu.t[first:], imu.gyro[first:], imu.accel[first:], imu.kind, sampling=imu.sampling)
 
 
 def _head(imu: ImuRecord) -> dict[str, Any]:
