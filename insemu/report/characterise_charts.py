@@ -83,7 +83,7 @@ def _with_interval(
     low, high = (np.where(known, shown(positive(bound)), np.nan) for bound in (curve.low, curve.high))
     value = shown(positive(curve.value))
     name = f"{axis.name}: 95 %"
-    lines = [Line(axis.name, value, colour), *band(name, low, high, colour, at + 1, axis.name)]
+    lines = [Line(axis.name, value, colour), *band(name, (low, high), colour, at + 1, axis.name)]
     return lines, [(curve.tau_s, y) for y in (value, low, high)]
 
 

@@ -7,7 +7,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
@@ -85,8 +85,9 @@ class Line:
         return plain if self.text is None else {**plain, "text": list(self.text)}
 
 
-def band(name: str, low: ArrayLike, high: ArrayLike, colour: str, at: int, of: str = "") -> list[Line]:
+def band(name: str, edges: Iterable[ArrayLike], colour: str, at: int, of: str = "") -> list[Line]:
     """The space between two edges, with one name in the legend; ``at`` lines of the view stand in front of it."""
+    low, high = edges
     return [
         Line(name, low, colour, width=0.0, of=of),
         Line(f"{name}, high", high, colour, width=0.0, fill_to=at, of=of or name),

@@ -226,7 +226,7 @@ def nees_chart(results: Results, confidence: float = 0.99) -> Chart:
         Line(design, positive(results.total.mean("nees", d)[at] / 9.0), colour(d))
         for d, design in enumerate(results.names)
     ]
-    lines += band(f"{confidence:.0%} bounds", *(np.full(at.size, b) for b in bounds), GREY, len(lines))
+    lines += band(f"{confidence:.0%} bounds", (np.full(at.size, b) for b in bounds), GREY, len(lines))
     return _over_time(
         "Consistency",
         "NEES (normalised estimation error squared) of the navigation states per degree of freedom, mean over "
@@ -380,7 +380,7 @@ def smoother_chart(results: Results) -> Chart:
         for label, hue, of in (("filter", COLOURS[1], ""), ("smoother", COLOURS[0], "smoothed_")):
             error, wide = results[f"{of}error"][d, 0, inside, 0], 3.0 * results[f"{of}sigma"][d, 0, inside, 0]
             lines.append(Line(label, error, hue))
-            lines += band(f"{label}: 3 sigma", -wide, wide, hue, len(lines), label)
+            lines += band(f"{label}: 3 sigma", (-wide, wide), hue, len(lines), label)
         views.append(View(name, "error north (m)", lines))
     return Chart(
         "Smoothing",

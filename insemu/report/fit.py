@@ -49,7 +49,7 @@ def decomposition(results: Mapping[str, FitResult], rng: np.random.Generator, dr
         assert curve is not None
         lines = [Line("signal", np.sqrt(positive(curve.value)), INK, points=True, width=4.0)]
         interval = (np.sqrt(positive(edge)) for edge in (curve.low, curve.high))
-        lines += band(f"{curve.confidence:.0%} interval", *interval, INK, 1, of="signal")
+        lines += band(f"{curve.confidence:.0%} interval", interval, INK, 1, of="signal")
         if drawable(result):
             lines.append(Line("model", np.sqrt(positive(result.fitted)), RED, width=2.2))
             for i, (index, p) in enumerate(result.model.indexed()):
@@ -62,7 +62,7 @@ def decomposition(results: Mapping[str, FitResult], rng: np.random.Generator, dr
                 for x in (result.model.simulate(result.n_samples, result.dt, one) for one in child.spawn(draws))
             ]
             edges = (positive(edge(drawn, axis=0)) for edge in (np.min, np.max))
-            lines += band(f"range of {draws} draws from the model", *edges, GREY, len(lines))
+            lines += band(f"range of {draws} draws from the model", edges, GREY, len(lines))
         title = f"{axis}: {result.structure} by {result.method}"
         lines, unit = familiar(lines, result.unit)
         views.append(View(title, f"wavelet deviation ({unit})", lines, log_y=True, x=curve.tau_s))
@@ -100,7 +100,7 @@ def spectrum(results: Mapping[str, FitResult], series: Mapping[str, Series]) -> 
         averaged = average_frequencies(psd(s.values[start:stop], s.rate_hz))
         lines = [Line("signal (Welch)", np.sqrt(averaged.psd), INK)]
         interval = (positive(np.sqrt(edge)) for edge in (averaged.low, averaged.high))
-        lines += band("95 % interval", *interval, INK, 1, of="signal (Welch)")
+        lines += band("95 % interval", interval, INK, 1, of="signal (Welch)")
         if drawable(result):
             lines.append(Line("model", np.sqrt(positive(result.model.psd(averaged.f_hz, result.dt))), RED, width=2.2))
         lines, unit = familiar(lines, f"{result.unit or 'unit'}/sqrt(Hz)")

@@ -113,7 +113,7 @@ def innovation_chart(report: GapReport, when: str) -> Chart:
 
 def _between(bound: float, n: int) -> list[Line]:
     """A grey band around zero."""
-    return band("19 of 20", np.full(n, -bound), np.full(n, bound), GREY, 0)
+    return band("19 of 20", (np.full(n, -bound), np.full(n, bound)), GREY, 0)
 
 
 def _dots(values: NDArray[Any], names: Sequence[str] = _DIRECTIONS) -> list[Line]:

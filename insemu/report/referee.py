@@ -120,7 +120,7 @@ def _nees(found: Sequence[Judgement]) -> Chart | None:
         tests = [v for v in first.tests if v.test == "NEES/dof"]
         if not lines or not tests:
             continue
-        lines += band("bounds", *(np.full(t.size, v) for v in (tests[0].low, tests[0].high)), GREY, len(lines))
+        lines += band("bounds", (np.full(t.size, v) for v in (tests[0].low, tests[0].high)), GREY, len(lines))
         views.append(View(first.world.name, "NEES of nine states per state", lines, x=t, log_y=True))
     if not views:
         return None

@@ -141,7 +141,7 @@ class Outages:
             return np.full((1, squares.shape[1]), np.nan)
         first = np.random.default_rng(0).integers(0, n, (DRAWS, -(-n // length)))
         rows = (first[:, :, None] + np.arange(length)).reshape(DRAWS, -1)[:, :n] % n
-        return np.maximum(squares[rows].mean(axis=1), 0.0)
+        return np.asarray(np.maximum(squares[rows].mean(axis=1), 0.0))
 
     def figures(self) -> list[dict[str, Any]]:
         """The score as plain data, one entry per horizon."""
