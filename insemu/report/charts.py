@@ -86,7 +86,18 @@ class Line:
 
 
 def band(name: str, edges: Iterable[ArrayLike], colour: str, at: int, of: str = "") -> list[Line]:
-    """The space between two edges, with one name in the legend; ``at`` lines of the view stand in front of it."""
+    """The space between two edges, with one name in the legend.
+
+    Parameters
+    ----------
+    name, colour : str
+    edges : two (n,) arrays
+        The lower one and the upper one.
+    at : int
+        Lines of the view that stand in front of it.
+    of : str
+        Label of the line that it belongs to.
+    """
     low, high = edges
     return [
         Line(name, low, colour, width=0.0, of=of),
