@@ -79,7 +79,7 @@ def command(
     if out:
         write(found.fitted(model, names[take]), out, console)
     if page:
-        from insemu.report import render_array
+        from insemu.report.array import render_array
 
         console.print(f"page: {render_array(found, page, source=' '.join(files))}")
 
@@ -136,7 +136,7 @@ def _plus(text: str) -> dict[str, NoiseModel]:
 def _tell(found: ArrayFit, console: Console) -> None:
     """The answer on the terminal: metres of every weighting, weights of the units, pairs that are not independent."""
     from insemu.cli.printing import print_table
-    from insemu.report import array_answer, weight_rows, weighting_rows
+    from insemu.report.array import array_answer, weight_rows, weighting_rows
 
     console.print(array_answer(found), highlight=False, style="bold")
     print_table(console, "Horizontal error at the ends of the outages", *weighting_rows(found))

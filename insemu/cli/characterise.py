@@ -60,7 +60,7 @@ def command(
     folder = Path(out) if out else Path("results") / f"characterise_{Path(file).name.split('.')[0]}"
     page = None
     if out or not as_json:
-        from insemu.report import render_characterisation
+        from insemu.report.characterise import render_characterisation
 
         page = render_characterisation(axes, folder, source=file, beside=others, overlay=overlay)
         put(folder / "characterise.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
@@ -118,7 +118,7 @@ def show(console: Console, axes: Sequence[AxisReport]) -> None:
     from rich.markup import escape
 
     from insemu.cli.printing import print_table
-    from insemu.report import characterise_answer, characterise_rows
+    from insemu.report.characterise import characterise_answer, characterise_rows
     from insemu.variance import duration, grouped_findings
 
     first = axes[0]

@@ -75,7 +75,7 @@ def command(
         against = base or results.names[0]
         _show(console, rows, results.realizations, against)
         if out:
-            from insemu.report import render_comparison
+            from insemu.report.comparison import render_comparison
 
             page = render_comparison(results, rows, against, out, source=scenario)
             console.print(f"Page: {page}", soft_wrap=True)
@@ -93,7 +93,7 @@ def command(
 
 def _show(console: Console, rows: list[ComparisonRow], realizations: int, base: str) -> None:
     from insemu.cli.printing import print_table
-    from insemu.report import COLUMNS, comparison_answer, comparison_rows
+    from insemu.report.comparison import COLUMNS, comparison_answer, comparison_rows
 
     console.print(comparison_answer(rows, base), style="bold", highlight=False, markup=False)
     title = f"Planimetric error at outage end, {count_of(realizations, 'realization')}, against {base}"
@@ -105,7 +105,7 @@ def _analytic(console: Console, experiment: Experiment, by: str, folder: Any) ->
     from rich.table import Table
 
     from insemu.evaluate import analysable, analyse_designs, outage_budgets
-    from insemu.report import render_budgets
+    from insemu.report.budget import render_budgets
 
     analyses = analyse_designs(experiment)
     windows = experiment.world.outage_windows

@@ -42,7 +42,7 @@ def command(
     top = top_of(*both)
     found = compare_drives(*(windows_of(r, top_hz=top) for r in both), seed=seed)
     if page:
-        from insemu.report import render_drives
+        from insemu.report.drives import render_drives
 
         render_drives(found, page, recording, emulated)
     if as_json:
@@ -54,8 +54,8 @@ def command(
 
 
 def _show(console: Console, found: Comparison) -> None:
-    from insemu import report
     from insemu.cli.printing import print_items, print_table
+    from insemu.report import drives as report
 
     console.print(report.drives_answer(found), style="bold", markup=False, soft_wrap=True)
     print_items(console, [t.words for t in found.telling[:3]])

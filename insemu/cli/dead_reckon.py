@@ -38,7 +38,7 @@ def command(
     result = replace(dead_reckon(data, gravity=gravity, start=start), said=said)
     print_items(console, said)
     if out:
-        from insemu.report import render_reckoning
+        from insemu.report.track import render_reckoning
 
         page = render_reckoning(result, out)
     if as_json:

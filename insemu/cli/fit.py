@@ -104,14 +104,14 @@ def command(
     if as_json:
         typer.echo(json.dumps({"axes": {axis: r.to_json() for axis, r in results.items()}}, indent=1, allow_nan=False))
     else:
-        from insemu.report import fits_answer
+        from insemu.report.fit import fits_answer
 
         console.print(fits_answer(results), highlight=False, style="bold")
         show(console, results)
         show_shared(console, results)
     write(results, out, console)
     if page:
-        from insemu.report import render_fits
+        from insemu.report.fit import render_fits
 
         console.print(f"page: {render_fits(results, page, series=series, rng=np.random.default_rng(seed), source=log)}")
 

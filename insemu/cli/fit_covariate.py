@@ -37,7 +37,7 @@ def command(
     from insemu.cli.covariates import Request
     from insemu.covariates import checked, needed
     from insemu.fit import fit_following
-    from insemu.report import render_following
+    from insemu.report.following import render_following
 
     request = Request(log, model, rate, skip, columns, tau_from, tau_to, out, page, as_json)
     series, found = request.opened()
@@ -70,7 +70,7 @@ def _show(console: Console, axis: str, fitted: FollowingFit) -> None:
     """What every level follows in words, the segments."""
     from rich.table import Table
 
-    from insemu.report import following_answer, segment_rows
+    from insemu.report.following import following_answer, segment_rows
 
     for line in following_answer(fitted):
         console.print(line, highlight=False)

@@ -104,7 +104,7 @@ def command(
     refined = write_refined(nominal, chosen, folder / "refined.yaml", data)
     text = json.dumps(report.to_json(), indent=1, allow_nan=False)
     put(folder / "gap.json", text + "\n")
-    from insemu.report import draw_gap, render_gap
+    from insemu.report.gap import draw_gap, render_gap
 
     page = render_gap(report, folder, refined.read_text(encoding="utf-8"))
     if figure:
@@ -149,7 +149,7 @@ def _tell(report: GapReport, console: Console) -> None:
     import math
 
     from insemu.cli.printing import print_table
-    from insemu.report import (
+    from insemu.report.gap import (
         FIRST_SCREEN,
         burst_said,
         effect_name,

@@ -40,7 +40,7 @@ def command(
     from insemu.errors import InputError
     from insemu.gap import check, find_gap, from_its_start, kept, load_measured, load_nominal
     from insemu.records import Recording
-    from insemu.report import render_check
+    from insemu.report.predictive import render_check
     from insemu.whole import put
 
     console = Console(stderr=as_json)

@@ -30,7 +30,7 @@ def preview(experiment: Experiment, realizations: int, folder: Path, console: Co
     from insemu.cli.printing import print_items, print_table
     from insemu.errors import InputError
     from insemu.evaluate import MARKER, LinearTwin, only_writer, previewed
-    from insemu.report import PREVIEWED, preview_notes, preview_rows, render_preview
+    from insemu.report.preview import PREVIEWED, preview_notes, preview_rows, render_preview
     from insemu.whole import put
 
     if not experiment.world.outage_windows:

@@ -31,7 +31,7 @@ def command(
     from insemu.cli.printing import print_table
     from insemu.evaluate import only_writer
     from insemu.referee import REALIZATIONS, SEED, referee
-    from insemu.report import referee_answer, render_referee, start_rows, world_rows
+    from insemu.report.referee import referee_answer, render_referee, start_rows, world_rows
     from insemu.whole import put
 
     folder, console, aside = Path(out or "results/referee"), Console(), Console(stderr=True)

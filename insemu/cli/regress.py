@@ -111,14 +111,15 @@ def _check(
     from pathlib import Path
 
     from insemu.evaluate import check
-    from insemu.report import regression_answer
+    from insemu.report.comparison import regression_answer
     from insemu.require import guards
 
     changes = check(results, held, false_alarm=false_alarm)
     changed = [c for c in changes if c.significant]
     watched = guards(results, required)
     if out:
-        from insemu.report import integrity_sections, render_regression
+        from insemu.report.comparison import render_regression
+        from insemu.report.integrity import integrity_sections
 
         about = {"baseline": Path(baseline).name, "recorded with digest": held.digest, "now": results.digest}
         console.print(

@@ -37,7 +37,7 @@ def command(
 
     from insemu.cli.printing import print_items, print_table
     from insemu.evaluate import only_writer
-    from insemu.report import aid_rows, frontier_rows, place_rows, render_require, require_notes, require_rows
+    from insemu.report.require import aid_rows, frontier_rows, place_rows, render_require, require_notes, require_rows
     from insemu.require import require, wish_of
     from insemu.whole import put
 

@@ -269,7 +269,7 @@ def run_all(
         What could not be made, in words.
     """
     from insemu.evaluate import CACHE, check_not_fewer, finish, only_writer, resolved, write, write_summary
-    from insemu.report import render_experiment
+    from insemu.report.experiment import render_experiment
     from insemu.whole import put
 
     main = experiments[""].scenario
@@ -394,9 +394,10 @@ def forget_others(cache: Path, digests: set[str]) -> None:
 
 def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     """The tables at the end."""
-    from insemu import report
     from insemu.cli.printing import print_items, print_table
     from insemu.evaluate import answer, verdicts
+    from insemu.report import tables as report
+    from insemu.report.budget import budget_lines
 
     console.print(f"\n{main.title}", soft_wrap=True, markup=False)
     said = answer(main)
@@ -417,7 +418,7 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
         print_table(console, report.SMOOTHED, *report.smoother_rows(main))
     if main.budgets:
         console.print("\nWhere the metres come from, by covariance analysis (parts add up as squares):")
-        print_items(console, report.budget_lines(main.budgets))
+        print_items(console, budget_lines(main.budgets))
     if variants:
         header, body = report.variant_rows(main, variants)
         shown = [

@@ -90,7 +90,7 @@ def command(
                 show_prediction(console, axis, other, found)
     write(results, out, console)
     if page:
-        from insemu.report import render_fits
+        from insemu.report.fit import render_fits
 
         rng = np.random.default_rng(seed)
         written = render_fits(results, page, series=series, rankings=rankings, rng=rng, source=file)
@@ -160,7 +160,7 @@ def show_prediction(console: Console, axis: str, other: str, found: dict[str, An
 def show_axes(console: Console, results: Mapping[str, FitResult]) -> None:
     """The answer: a sentence, then one row per axis."""
     from insemu.cli.printing import print_table
-    from insemu.report import fits_answer
+    from insemu.report.fit import fits_answer
 
     console.print(fits_answer(results), highlight=False, style="bold")
     body = [[axis, r.verdict, str(r.structure)] for axis, r in results.items()]

@@ -47,7 +47,8 @@ def command(
     from insemu.cli.printing import staged
     from insemu.evaluate import only_writer
     from insemu.intake import recording_of, take
-    from insemu.report import integrity_sections, render_solution
+    from insemu.report.integrity import integrity_sections
+    from insemu.report.solve import render_solution
     from insemu.require import asked, recorded_guard
     from insemu.solve import candidates, compare_with, solve, summary, write
     from insemu.whole import put
@@ -115,8 +116,8 @@ def _lever_arm(text: str) -> tuple[float, float, float] | None:
 
 def _show(console: Console, s: Solution, compared: Comparison | None, scenario: str) -> None:
     """The answer, the score, the designs, what was found."""
-    from insemu import report
     from insemu.cli.printing import print_items, print_table
+    from insemu.report import solve as report
 
     console.print(f"\n{report.solve_answer(s)}", markup=False, style="bold")
     print_table(

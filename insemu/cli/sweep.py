@@ -47,7 +47,7 @@ def command(
     from insemu.cluster import cluster as dask_cluster
     from insemu.compiled import compiled_beside
     from insemu.evaluate import CACHE, Sweep, only_writer
-    from insemu.report import render_sweep
+    from insemu.report.sweep import render_sweep
     from insemu.whole import put
 
     told = Console(stderr=True)
@@ -129,7 +129,7 @@ def _csv(rows: Sequence[Row]) -> str:
 
 def _show(console: Any, sweep: Sweep, rows: Sequence[Row], page: Path) -> None:
     from insemu.cli.printing import print_table
-    from insemu.report import SWEPT, sweep_answer, sweep_rows
+    from insemu.report.sweep import SWEPT, sweep_answer, sweep_rows
 
     console.print(f"\n{sweep_answer(sweep, rows)}", style="bold", soft_wrap=True, highlight=False, markup=False)
     header, body = sweep_rows(sweep, rows)

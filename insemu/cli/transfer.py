@@ -66,7 +66,7 @@ def command(
     if out:
         save(found.beliefs, out)
     if page:
-        from insemu.report import render_transfer
+        from insemu.report.transfer import render_transfer
 
         render_transfer(found, page, recording)
     if as_json:
@@ -81,8 +81,8 @@ def command(
 
 def _tell(found: Transfer, console: Console) -> None:
     """The answer on the terminal: does it help, the factors, the judge, the reasons."""
-    from insemu import report
     from insemu.cli.printing import print_items, print_table
+    from insemu.report import transfer as report
 
     console.print(report.transfer_answer(found), style="bold", highlight=False, markup=False)
     print_items(console, found.assumed)

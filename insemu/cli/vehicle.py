@@ -27,12 +27,13 @@ def command(
 
     from rich.console import Console
 
-    from insemu import formats, report, units
+    from insemu import formats, units
     from insemu.cli.printing import print_items, print_table
     from insemu.drives import learn_vehicle
     from insemu.emulate import VEHICLES, vehicle_text
     from insemu.errors import InputError, nearest
     from insemu.noise import load, save
+    from insemu.report import drives as report
     from insemu.whole import put
 
     if kind not in VEHICLES:

@@ -249,15 +249,14 @@ def render_fits(
         page.Section("Detail", [_detail(axis, r, ranked.get(axis)) for axis, r in results.items()]),
     ]
     word = "Chosen" if ranked else "Fitted"
-    return page.render(
+    return page.Page(
         f"{word} noise models" + (f" of {Path(source).name}" if source else ""),
         sections,
-        path,
         kind="select" if ranked else "fit",
         source=source,
         answer=fits_answer(results),
         cards=verdict_cards(results),
-    )
+    ).write(path)
 
 
 def ranking_table(ranking: Ranking, most: int = 12) -> page.Table:

@@ -14,7 +14,7 @@ import numpy as np
 from insemu.effects import AID_KINDS, EFFECTS
 from insemu.report.charts import Chart
 from insemu.report.gap_charts import evidence_chart, innovation_chart, spectrum_chart, wavelet_chart
-from insemu.report.page import Block, Card, Code, Folded, Items, Section, Table, Text, render
+from insemu.report.page import Block, Card, Code, Folded, Items, Page, Section, Table, Text
 from insemu.report.static import save
 from insemu.units import datasheet
 
@@ -521,15 +521,14 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
         Section("Agreement with the refined model", [index, *left, *_pictures(report, after=True)]),
         *([Section("The refined model", [Folded("refined.yaml", [Code(refined)])])] if refined else []),
     ]
-    return render(
+    return Page(
         f"The gap between simulation and measurement: {Path(report.source).name}",
         sections,
-        folder / "index.html",
         kind="gap",
         source=report.source,
         answer=gap_headline(report),
         cards=[_better(report), *(_card(report, n, s) for n, s in report.numbered()[:FIRST_SCREEN])],
-    )
+    ).write(folder / "index.html")
 
 
 def gap_charts(report: GapReport) -> list[Chart]:
