@@ -31,7 +31,7 @@ def command(
     from insemu.prepared import prepared
 
     console = Console(stderr=True)
-    announce(recording, console)
+    announce(recording)
     data, start, said = read_recording(recording), None, tuple[str, ...]()
     if data.reference is None and data.gnss is not None:
         data, start, said = prepared(data).started().alone()

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rich.console import Console
+
 from insemu.cli.options import argument, option
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from insemu.fit import RegressedFit
     from insemu.records import Series
 
@@ -52,4 +52,6 @@ def _show(console: Console, axis: str, found: RegressedFit) -> None:
     from insemu.cli.printing import print_table
     from insemu.report.regressors import coefficient_rows
 
-    print_table(console, f"{axis}: regressors, {found.explained:.1%} of the variance", *coefficient_rows(found))
+    print_table(
+        console, f"{axis}: regressors, {found.explained:.1%} of the variance", *coefficient_rows(found), groups=True
+    )

@@ -7,6 +7,7 @@ A command says ``option("--skip", "0 s")``, with words of its own only where the
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import typer
@@ -173,8 +174,15 @@ OPTIONS: dict[str, tuple[str, str]] = {
     "--calibrate": ("", "Tune scale factors and misalignments of the IMU together with the noise."),
 }
 SHORT = {"--output": "-o", "--model": "-m", "--columns": "-c", "--general": "-g"}
+
+
+def cores(given: int | None) -> int:
+    """Work items at a time: all cores where no number is given."""
+    return given or os.cpu_count() or 1
+
+
 _LIMITS: dict[str, dict[str, Any]] = {
-    "--workers": {"min": 1, "max": WORKERS},
+    "--workers": {"min": 1, "max": WORKERS, "callback": cores},
     "--seed": {"min": 0},
     "--realizations": {"min": 2, "max": DRAWS},
     "--realization": {"min": 0, "max": DRAWS},
