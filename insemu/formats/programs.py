@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from insemu.errors import InputError
+from insemu.formats.filled import filled
 from insemu.noise import NoiseModel, require_constant
 from insemu.units import conversion
 
@@ -112,7 +112,7 @@ def _reduced(model: NoiseModel, dt: float) -> tuple[float, float, float, float]:
     return white, walk, turn_on, time
 
 
-#: Program -> file of its text in ``programs_text``.
+#: Program -> file of its text in ``texts``.
 PROGRAMS: Mapping[str, str] = {
     "kalibr": "kalibr",
     "openvins": "kalibr",
@@ -138,11 +138,11 @@ def spelled(program: str, triads: Mapping[str, Triad], rate_hz: float) -> str:
     rate_hz : float
         Sampling rate there.
     """
-    from jinja2 import Environment
-
-    maker = Environment(trim_blocks=True, keep_trailing_newline=True)
-    maker.filters["nine"] = "{:.9g}".format
-    text = (Path(__file__).parent / "programs_text" / f"{PROGRAMS[program]}.txt").read_text(encoding="utf-8")
-    return maker.from_string(text).render(
-        triads=triads, rate=f"{rate_hz:g}", root=math.sqrt(rate_hz), sqrt=math.sqrt, conversion=conversion
+    return filled(
+        f"{PROGRAMS[program]}.txt",
+        triads=triads,
+        rate=f"{rate_hz:g}",
+        root=math.sqrt(rate_hz),
+        sqrt=math.sqrt,
+        conversion=conversion,
     )
