@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 
-def filled(name: str, **values: Any) -> str:
+def filled(name: str, /, **values: Any) -> str:
     """A text with its values.
 
     Parameters
