@@ -28,6 +28,7 @@ from numba.core import config, sigutils
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
 from numba.core.ccallback import CFunc
 from numba.core.registry import cpu_target
+from numba.core.targetconfig import TargetConfig
 from numba.misc.appdirs import AppDirs
 
 from insemu.progress import say_once
@@ -54,7 +55,9 @@ def baseline() -> str:
 
 
 def _aim() -> None:
-    """Make numba compile for the baseline, unless a program has compiled with it before."""
+    """Make numba compile quickly, and for the baseline, unless a program has compiled with it before."""
+    # numba hashes all values of its options whenever it looks a function up, a tenth of the time to compile; the names that are set do as well
+    TargetConfig.__hash__ = lambda self: hash(frozenset(self._values))  # type: ignore[method-assign]
     if "_toplevel_target_context" not in vars(cpu_target):
         name = baseline()
         if os.environ.setdefault("NUMBA_CPU_NAME", name) == name:

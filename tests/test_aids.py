@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from zlib import crc32
 
 import numpy as np
@@ -135,11 +136,21 @@ def test_every_aid_is_the_same_in_the_reference_filter():
     assert {CODES[name] for name in EMULATED} == set(np.unique(a.fixes.kind)) - {0}
 
 
+@cache
+def short_drive():
+    return cases.drive(40.0)
+
+
+@cache
+def short_flight(seed):
+    return flown(short_drive(), MODEL_15, seed=seed)
+
+
 @pytest.mark.parametrize("name", EMULATED)
 @statistical(5e-6, 3, power=chi_square_power(360, 5e-6, 3, 2.0))  # half the errors that happen believed
 def test_a_filter_with_an_aid_knows_its_error_and_errs_less(name):
     """Mean NEES at the end of an outage inside the chi-square bounds; an aid trusted three times too much: outside."""
-    road, runs, at = cases.drive(40.0), 40, (15.0, 21.9, 40.0)
+    road, runs, at = short_drive(), 40, (15.0, 21.9, 40.0)
     bounds = 9 * np.array(chi_square(9 * runs, 5e-6, len(at)))
     ekf = LooselyCoupledEKF(MODEL_15, DT, options=FilterOptions(covariance_at=at, output_every=10))
     rows = np.round(np.array(at) / DT).astype(int)
@@ -147,7 +158,7 @@ def test_a_filter_with_an_aid_knows_its_error_and_errs_less(name):
     def pooled(trust=1.0, *, aided=True):
         out, size = np.empty((runs, len(at))), np.empty((runs, 9))
         for i in range(runs):
-            imu, gnss, start = flown(road, MODEL_15, seed=100 + i)
+            imu, gnss, start = short_flight(100 + i)
             aid = record(road, name, 100 + i)
             r = ekf.run(imu, gnss, start, START_SIGMA, aids=(replace(aid, std=aid.std / trust),) if aided else ())
             pick = np.searchsorted(r.t, np.array(at) - 1e-9)

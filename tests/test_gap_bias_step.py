@@ -96,6 +96,7 @@ def test_a_process_that_is_weighed_again_keeps_its_rival_that_jumps() -> None:
     assert kept.nats == pytest.approx(again.kept.nats - 1.0)
 
 
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_its_size_is_estimated_with_all_other_numbers() -> None:
     world, (hidden,), _ = drawn(judge.Job("jump", 660002, 240.0, True))
     measured, nominal = taken(world, (hidden,))

@@ -59,6 +59,7 @@ def test_a_vehicle_that_nobody_has_and_a_wrong_ending_are_refused(
         assert message in capsys.readouterr().err
 
 
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_members_of_a_class_that_are_one_effect_on_two_axes_are_told_apart() -> None:
     s = stage(11, 2.0, 50.0, track="car")
     use = EffectUse.from_mapping({"effect": "scale_factor", "sensor": "accel", "value": [0.0, 0.0, 0.02]})

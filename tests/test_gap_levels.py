@@ -48,7 +48,9 @@ def told(problem: DriveProblem, effect: str) -> dict[tuple[str, ...], tuple[floa
 
 
 @pytest.mark.parametrize("effect", list(LEVEL_ROWS))
-@pytest.mark.parametrize("hidden", [(), (COLOUR,)])
+@pytest.mark.parametrize(
+    "hidden", [(), pytest.param((COLOUR,), marks=pytest.mark.slow(reason="another case of a quick test"))]
+)
 def test_a_level_of_all_axes_becomes_two_where_they_differ(effect: str, hidden: tuple[EffectUse, ...]) -> None:
     """On ublox_mixed_nominal one level of 0.11 stood for all velocities, whose vertical ones scattered by 0.4 of that."""
     problem = naming(effect, {NED: 0.4}, use(effect=effect, factor=[0.6, 0.6, 0.2]), *hidden)
@@ -65,7 +67,9 @@ def test_a_level_of_all_axes_becomes_two_where_they_differ(effect: str, hidden: 
     assert not problem.settle() and set(told(problem, effect)) == {HORIZONTAL, VERTICAL}
 
 
-@pytest.mark.parametrize("hidden", [(), (COLOUR,)])
+@pytest.mark.parametrize(
+    "hidden", [(), pytest.param((COLOUR,), marks=pytest.mark.slow(reason="another case of a quick test"))]
+)
 def test_levels_of_parts_become_one_where_they_are_alike(hidden: tuple[EffectUse, ...]) -> None:
     effect = "gnss_velocity_noise"
     problem = naming(effect, {HORIZONTAL: 1.7, VERTICAL: 2.4}, use(effect=effect, factor=2.0), *hidden)

@@ -87,6 +87,7 @@ def train():
     )
 
 
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_a_change_is_named_with_its_time(train) -> None:
     _, _, hidden, report = train
     (found,) = report.findings

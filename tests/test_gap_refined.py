@@ -637,6 +637,7 @@ def test_a_filter_without_states_for_slow_errors_of_the_fixes_believes_all_of_th
     np.testing.assert_allclose(believed, np.hypot(0.01 * np.array(sigma), [0.3, 0.0, 0.0]), rtol=1e-6)
 
 
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_a_drift_counts_from_the_first_stamp_also_where_the_filter_starts_later() -> None:
     """Fixes from the 60th second on: clocks that agree there instead of at the first stamp leave 12 ms once the drift is taken off."""
     drive = stage(61, 4.0, 50.0, track="car")

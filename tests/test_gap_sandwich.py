@@ -80,6 +80,7 @@ def test_one_stretch_of_a_shape_says_little() -> None:
     assert excess(0.0 * shape, left, T, 1.0) == 1.0
 
 
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_an_effect_that_holds_in_places_only_is_not_held() -> None:
     """A drive whose innovations follow a scale factor all along, and one that they follow both ways in turns: as much evidence, not as sure."""
     scene = Scene.of(Flown.of(*taken(sensors.draw_world(500046, 360.0, True), ())).prepared)

@@ -165,6 +165,7 @@ def test_the_benchmark_records_as_it_is_asked_to() -> None:
     assert key == "none-1-360-1-0-1" and Job("none", 1, 360.0, True, logger=how).key != key
 
 
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_the_axis_that_shakes_least_shakes_with_the_others() -> None:
     """Of a walker's six it exceeds no bin of its noise beyond doubt: its vibration was "unexplained", for it changes with time."""
     world = sensors.draw_world(410055, 360.0, True)
@@ -412,7 +413,9 @@ def test_a_time_offset_of_a_shaken_vehicle_is_as_large_as_it_is() -> None:
     assert seen == pytest.approx(-0.0024, abs=3.0 * sd) and sd < 0.0005
 
 
-@pytest.mark.parametrize("missed", [-3e-6, 3e-6])
+@pytest.mark.parametrize(
+    "missed", [-3e-6, pytest.param(3e-6, marks=pytest.mark.slow(reason="another case of a quick test"))]
+)
 def test_stamps_that_are_put_right_leave_no_lever_arm_behind(missed: float) -> None:
     """Velocities were steadied for the stamps as they were: a lever arm of 5 mm, ten standard deviations, stood behind 0.4 ms of a quadrotor."""
     world, value = sensors.draw_world(250048, 200.0, True), 0.00037
@@ -437,7 +440,9 @@ def test_the_signature_of_a_shaken_vehicle_is_that_of_its_own_motion() -> None:
     assert 0.5 * 0.01**2 * at.data.variance * at.data.A[j, j] == pytest.approx(ruler.half(hidden), rel=0.05)
 
 
-@pytest.mark.parametrize("reference", [True, False])
+@pytest.mark.parametrize(
+    "reference", [True, pytest.param(False, marks=pytest.mark.slow(reason="another case of a quick test"))]
+)
 def test_a_start_in_the_time_of_the_fixes_is_off_with_their_time(reference: bool) -> None:
     """A train at 40 m/s that starts 2 m away from where its IMU is: 0.26 of the offset was seen."""
     world = replace(sensors.draw_world(110071, 200.0, True), reference=reference)

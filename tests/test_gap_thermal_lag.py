@@ -87,6 +87,7 @@ def test_coefficient_and_lag_are_named_and_close_the_gap(flight) -> None:
     assert again.verdict == "nothing missing"
 
 
+@pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_its_coefficient_is_estimated_with_all_other_numbers(flight) -> None:
     """A column without the lag would move it elsewhere."""
     measured, nominal, hidden = flight

@@ -318,7 +318,13 @@ def test_the_second_order_block_is_that_of_the_continuous_process(a: float) -> N
 
 
 @pytest.mark.parametrize(
-    ("ar", "ma"), [((0.6,), (0.5, -0.4, 0.3)), ((1.2, -0.5, 0.1), (0.4,)), ((), (0.9, 0.5)), ((0.8,), ())]
+    ("ar", "ma"),
+    [
+        ((0.6,), (0.5, -0.4, 0.3)),
+        ((), (0.9, 0.5)),
+        pytest.param((1.2, -0.5, 0.1), (0.4,), marks=pytest.mark.slow(reason="another case of a quick test")),
+        pytest.param((0.8,), (), marks=pytest.mark.slow(reason="another case of a quick test")),
+    ],
 )
 def test_the_first_samples_of_a_draw_have_the_autocovariance_already(
     ar: tuple[float, ...], ma: tuple[float, ...]

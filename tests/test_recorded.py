@@ -132,7 +132,13 @@ def test_a_recorded_drive_is_smoothed_and_repeated_rows_are_told(tmp_path: Path,
     assert Experiment(load(path), path).world.warnings == ()
 
 
-@pytest.mark.parametrize("how", ["rows that repeat", "stamps that skip"])
+@pytest.mark.parametrize(
+    "how",
+    [
+        "rows that repeat",
+        pytest.param("stamps that skip", marks=pytest.mark.slow(reason="another case of a quick test")),
+    ],
+)
 def test_a_design_that_compensates_lost_samples_flies_them_filled_in(
     tmp_path: Path, recording: Recording, how: str
 ) -> None:

@@ -399,6 +399,8 @@ def test_a_generic_grade_knows_its_error_on_every_real_drive(name: str, grade: s
     drive = prepared(read_recording(shared(f"real/{name}.npz"))).started()
     believed = next(c for c in candidates() if c.name == grade)
     drive = drive.shifted(clock_offset(believed, drive)[0]).started()
+    if drive.assumed:  # standard deviations from the scatter of the fixes hold none of their slow errors
+        believed = adapted(believed, drive)
     fixes = flown(believed.filter(drive, output_every=100), drive, believed).fixes
     assert 0.3 < float(fixes.nis[fixes.accepted].sum() / fixes.dof[fixes.accepted].sum()) < 3.0
 

@@ -174,7 +174,16 @@ def test_losses_are_told_from_late_stamps() -> None:
     assert np.isnan(beat(np.array([1.0]))) and beat(np.array([1.0, 3.0])) == 2.0
 
 
-@pytest.mark.parametrize(("suffix", "packed"), [(".gz", gzip.compress), (".bz2", bz2.compress), (".xz", lzma.compress)])
+@pytest.mark.parametrize(
+    ("suffix", "packed"),
+    [
+        (".gz", gzip.compress),
+        *(
+            pytest.param(*c, marks=pytest.mark.slow(reason="another case of a quick test"))
+            for c in ((".bz2", bz2.compress), (".xz", lzma.compress))
+        ),
+    ],
+)
 def test_text_that_unpacks_to_far_more_than_its_size_is_refused(
     suffix: str, packed: Callable[[bytes], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

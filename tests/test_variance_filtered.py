@@ -97,7 +97,14 @@ def test_the_quadrature_of_a_search_is_the_integral(filter: str) -> None:
             assert weight @ model.psd(f, 1.0) == pytest.approx(expected_variance(model, filter, [1 << j])[0], rel=2e-3)
 
 
-@pytest.mark.parametrize("filter", ["d8", "d16", "mb16", "fk14"])
+@pytest.mark.parametrize(
+    "filter",
+    [
+        "d16",
+        "fk14",
+        *(pytest.param(f, marks=pytest.mark.slow(reason="another case of a quick test")) for f in ("d8", "mb16")),
+    ],
+)
 def test_stated_degrees_of_freedom_are_the_true_ones(filter: str) -> None:
     """They were up to 2.7 times the true ones. Mean of 40 records against 2 v^2 / var, within 8 % above 8."""
     for model in MODELS.values():

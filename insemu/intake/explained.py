@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import rotation
+from insemu.compiled import njit
 from insemu.intake.motion import Track
 from insemu.records import ImuRecord
 
@@ -126,7 +127,8 @@ class Windows:
     def fewer(self, most: int) -> Windows:
         """Some of the windows, spread over the record."""
         out = copy(self)
-        out.__dict__.pop("_edges", None)
+        for name in ("_edges", "_turns"):
+            out.__dict__.pop(name, None)
         out._latest = None
         out._piece = max(2.0 * PIECE, self._imu.dt)
         out._starts = self._starts[np.unique(np.linspace(0, self.count - 1, min(most, self.count)).astype(int))]
@@ -177,6 +179,11 @@ class Windows:
         return np.diff(at.reshape(*edges.shape, 3), axis=1)
 
     @cached_property
+    def _turns(self) -> Array:
+        """Increments of the integrated rates, of which no reading moves the stamps."""
+        return self._pieces(self._sums[0], 0.0)
+
+    @cached_property
     def _edges(self) -> Array:
         pieces = round((self.length + 2.0 * HALF + self._spans) / self._piece) + 1
         return (self._starts - HALF - 0.5 * self._spans)[:, None] + self._piece * np.arange(pieces + 1)
@@ -203,16 +210,6 @@ class Windows:
         )
         have = np.diff(sums, axis=1) / dt
         return np.linalg.norm(wanted[both], axis=-1), np.linalg.norm(have[both], axis=-1)
-
-    def attitudes(self, gyro: Array, bias: Array) -> tuple[Array, Array]:
-        """Attitudes at the edges of the pieces against the window's beginning, (w, s + 1, 3, 3), and the turns (w, s, 3), rad."""
-        turns = self._pieces(self._sums[0], 0.0) @ gyro.T - bias * self._piece
-        small = rotation.dcm_from_vector(turns.reshape(-1, 3)).reshape(*turns.shape, 3)
-        C = np.empty((turns.shape[0], turns.shape[1] + 1, 3, 3))
-        C[:, 0] = np.eye(3)
-        for k in range(turns.shape[1]):
-            C[:, k + 1] = C[:, k] @ small[:, k]
-        return C, turns
 
     def explain(self, reading: Reading = DECLARED, passes: int = 2, other: int = 0) -> Explained:
         """Score a reading.
@@ -255,12 +252,8 @@ class Windows:
         ):  # readings of other times of the fixes begin with the same
             return self._latest[1]
         h = self._piece
-        C, turns = self.attitudes(reading.gyro, bias)
-        middle = C[:, :-1] + 0.5 * (C[:, :-1] @ rotation.skew(turns))
-        moved = np.einsum("wsij,wsj->wsi", middle, self._pieces(self._sums[1], reading.lag) @ reading.accel.T)
-        J = _sum(h * middle)  # of an error of the rate: how far it has turned the axes
-        bent = _sum(rotation.skew(moved) @ (0.5 * (J[:, 1:] + J[:, :-1])))
-        V, A = _sum(moved), J
+        turns = self._turns @ reading.gyro.T - bias * h
+        V, bent, A, C = _carried(turns, self._pieces(self._sums[1], reading.lag) @ reading.accel.T, h)
         if self._spans:
             V, A, bent = (_sum(0.5 * h * (x[:, 1:] + x[:, :-1])) for x in (V, A, bent))
         if not bias.any():
@@ -285,6 +278,54 @@ class Windows:
 
         arm = (at(C, when + half) - at(C, when - half)) / (2.0 * half)
         return mean(V), np.concatenate([mean(bent), -mean(A), arm], axis=-1)
+
+
+@njit(cache=True, nogil=True)
+def _carried(turns: Array, forces: Array, h: float) -> tuple[Array, Array, Array, Array]:
+    """Carry the attitude through the pieces of each window, and sum the specific force in the axes of its beginning.
+
+    Parameters
+    ----------
+    turns, forces : (w, s, 3) arrays
+        Integrals of the rates, rad, and of the specific force, m/s, over each piece.
+    h : float
+        Length of a piece, s.
+
+    Returns
+    -------
+    tuple of arrays
+        At the edges of the pieces: change of velocity (w, s + 1, 3), its derivatives by a constant error of the rate and of the force, and the
+        attitude, (w, s + 1, 3, 3).
+    """
+    windows, pieces = turns.shape[:2]
+    V = np.zeros((windows, pieces + 1, 3))
+    bent, A, C = np.zeros((3, windows, pieces + 1, 3, 3))
+    middle = np.empty((3, 3))
+    for w in range(windows):
+        for i in range(3):
+            C[w, 0, i, i] = 1.0
+        for k in range(pieces):
+            x, y, z = turns[w, k]
+            cosine, half = rotation.scalar_half_trig(x * x + y * y + z * z)
+            first, second = 2.0 * half * cosine, 2.0 * half * half  # of Rodrigues' formula
+            for i in range(3):
+                c = C[w, k, i]
+                cross = (c[1] * z - c[2] * y, c[2] * x - c[0] * z, c[0] * y - c[1] * x)
+                again = (cross[1] * z - cross[2] * y, cross[2] * x - cross[0] * z, cross[0] * y - cross[1] * x)
+                moved = 0.0
+                for j in range(3):
+                    C[w, k + 1, i, j] = c[j] + first * cross[j] + second * again[j]
+                    middle[i, j] = c[j] + 0.5 * cross[j]
+                    A[w, k + 1, i, j] = A[w, k, i, j] + h * middle[i, j]
+                    moved += middle[i, j] * forces[w, k, j]
+                V[w, k + 1, i] = V[w, k, i] + moved
+            a, b, c = V[w, k + 1] - V[w, k]
+            for j in range(3):
+                p, q, r = 0.5 * (A[w, k, :, j] + A[w, k + 1, :, j])
+                bent[w, k + 1, 0, j] = bent[w, k, 0, j] + b * r - c * q
+                bent[w, k + 1, 1, j] = bent[w, k, 1, j] + c * p - a * r
+                bent[w, k + 1, 2, j] = bent[w, k, 2, j] + a * q - b * p
+    return V, bent, A, C
 
 
 def _sum(steps: Array) -> Array:
