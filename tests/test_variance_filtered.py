@@ -162,8 +162,6 @@ def test_what_cannot_be_fitted_is_refused_by_name() -> None:
             fit(x, structure, rate_hz=1.0, wavelet="d8")
     with pytest.raises(InputError, match="belongs to gmwm"):
         fit(x, "WN()", "mli", rate_hz=1.0, wavelet="d8")
-    with pytest.raises(InputError, match="dwt"):
-        fit(wavelet_variance(x, transform="dwt"), "WN()")
 
 
 @pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")

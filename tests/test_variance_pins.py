@@ -93,8 +93,6 @@ def _curves() -> dict[str, Callable[[], Any]]:
         out[f"scatter d4 {kind}"] = lambda kind=kind: filtered.scatter_of_filter(_noise(kind), "d4", 6, 1200)
     for option in ("eta3", "normal"):
         out[f"wavelet intervals {option}"] = lambda option=option: _curve("walk", intervals=option)
-    out["wavelet dwt"] = lambda: _curve("walk", transform="dwt")
-    out["wavelet dwt la8"] = lambda: _curve("walk", transform="dwt", filter="la8", levels=4)
     out["wavelet own edof"] = lambda: _curve("walk", levels=3, edof=[5.0, 9.0, 200.0])
     return out
 
@@ -304,7 +302,6 @@ def _said() -> dict[str, Callable[[], Any]]:
         "confidence": lambda: v.wavelet_variance(y, RATE, confidence=1.0),
         "no confidence": lambda: v.wavelet_variance(y, RATE, confidence=0.0),
         "intervals": lambda: v.wavelet_variance(y, RATE, intervals="x"),  # type: ignore[arg-type]
-        "transform": lambda: v.wavelet_variance(y, RATE, transform="x"),  # type: ignore[arg-type]
         "filter": lambda: v.wavelet_variance(y, RATE, filter="d5"),
         "levels": lambda: v.wavelet_variance(y, RATE, levels=0),
         "many levels": lambda: v.wavelet_variance(y, RATE, levels=20),

@@ -59,13 +59,6 @@ def test_haar_modwt_and_its_eta3_intervals_equal_the_reference(name: str) -> Non
         np.testing.assert_allclose(mine, theirs, rtol=1e-10)
 
 
-def test_haar_dwt_equals_the_reference_up_to_its_scaling() -> None:
-    x, rows = fixture("wn_pow2", "wv_haar_dwt")
-    curve = wavelet_variance(x, transform="dwt", intervals="eta3", levels=len(rows))
-    np.testing.assert_allclose(curve.value * curve.scale_samples, rows[:, 1], rtol=1e-10)
-    np.testing.assert_allclose(curve.low * curve.scale_samples, rows[:, 2], rtol=1e-10)
-
-
 def test_a_large_offset_costs_no_digits() -> None:
     x = np.random.default_rng(1).standard_normal(4000)
     # the offset itself rounds the samples to 1e-10, no more than that may be seen
@@ -331,7 +324,6 @@ def test_normal_intervals_are_offered_only_where_they_hold() -> None:
         ({"x": np.ones(50), "intervals": "eta1"}, "expected one of: edof, eta3, normal"),
         ({"x": np.ones(50), "confidence": 95.0}, "between 0 and 1"),
         ({"x": np.ones(50), "rate_hz": 0.0}, "expected a positive number"),
-        ({"x": np.ones(50), "transform": "cwt"}, "expected one of: modwt, dwt"),
         ({"x": np.ones(5), "filter": "d8"}, "too short"),
         ({"x": np.ones(50), "edof": [1.0]}, "one per scale"),
     ],

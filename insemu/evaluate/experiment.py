@@ -22,11 +22,12 @@ from insemu.emulate import TrueStates
 from insemu.errors import InputError
 from insemu.evaluate.consistency import unaided_sigma
 from insemu.evaluate.dataset import of_designs
+from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.held import HELD, key_of
 from insemu.evaluate.recorded import RecordedWorld
 from insemu.evaluate.scores import run_scores, sensor_scores
 from insemu.evaluate.stretched import Stretch, StretchedWorld, emulated_world
-from insemu.evaluate.world import Estimate, World, implausible, static_logs, stream
+from insemu.evaluate.world import Estimate, implausible, static_logs, stream
 from insemu.filters import (
     FilterOptions,
     FilterParts,
@@ -52,6 +53,9 @@ if TYPE_CHECKING:
 
 
 Array = NDArray[np.float64]
+
+#: What really happens, emulated or recorded.
+World = EmulatedWorld | RecordedWorld
 
 
 @dataclass(frozen=True)

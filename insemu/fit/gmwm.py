@@ -226,10 +226,6 @@ def _problem(
     curve: WaveletVariance, model: NoiseModel, tau_from: float, tau_to: float, efficiency: float, name: str
 ) -> _Problem:
     """What is fitted to what; raises ``InputError`` where a curve or a structure cannot be."""
-    if curve.transform != "modwt":
-        raise InputError(
-            f"the wavelet variance of the transform '{curve.transform}' cannot be fitted: its covariance is not known; use modwt"
-        )
     structure = Structure.of(model, curve.rate_hz, curve.filter)
     use = (curve.tau_s >= tau_from * (1 - 1e-9)) & (curve.tau_s <= tau_to * (1 + 1e-9))
     use &= curve.scale_samples <= curve.n_samples
