@@ -16,9 +16,9 @@ from insemu.errors import InputError
 from insemu.fit import fit
 from insemu.noise import DR, GM, RW, SIN, WN, NoiseModel
 from insemu.variance import level1_autocovariance, model_edof, wavelet_variance
-from insemu.variance.covariance import model_covariance_of_filter
 from insemu.variance.filtered import _bins, expected_variance, filter_covariance
 from insemu.variance.filters import FILTERS, modwt_filters
+from tests.wavelet_oracles import model_covariance_of_filter
 
 N = 20_000
 MODELS = {"WN": NoiseModel((WN(1.0),)), "GM": NoiseModel((GM(1.0, 0.02),)), "RW": NoiseModel((RW(1.0),))}

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from insemu import variance as v
 from insemu.noise import AR1, DR, GM, QN, RW, WN
-from insemu.variance import allan, covariance, edof, filtered, filters, findings, gaps, robust, wavelet
+from insemu.variance import allan, edof, filtered, filters, findings, gaps, robust, wavelet
 from tests.pins import differences, kept, numbers, plain
+from tests.wavelet_oracles import model_covariance_of_filter
 
 Array = NDArray[np.float64]
 RATE = 20.0
@@ -168,7 +169,7 @@ def _models() -> dict[str, Callable[[], Any]]:
                 )
                 for slope in (0.0, 0.01)
             ]
-            out[f"covariance d4 {name}"] = lambda gamma=gamma: covariance.model_covariance_of_filter(
+            out[f"covariance d4 {name}"] = lambda gamma=gamma: model_covariance_of_filter(
                 gamma, 200, filter="d4", levels=3
             )
         out[f"filter covariance {name}"] = lambda model=model: v.filter_covariance(

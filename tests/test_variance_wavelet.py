@@ -24,7 +24,6 @@ from insemu.variance import (
     wavelet_variance,
     wv_covariance,
 )
-from insemu.variance.covariance import model_covariance_of_filter
 from insemu.variance.edof import (
     OCTAVES_TOGETHER,
     Scatter,
@@ -36,6 +35,7 @@ from insemu.variance.edof import (
 from insemu.variance.filters import FILTERS, fejer_korovkin, modwt_filters
 from tests.budget import binomial, binomial_power, statistical
 from tests.shared_data import shared
+from tests.wavelet_oracles import model_covariance_of_filter
 
 Array = NDArray[np.float64]
 NAMES = ("wn_pow2", "wn", "ar1", "wn_rw", "gm2_wn_100hz", "ar1x2_wn", "qn_wn", "wn_dr", "ar2")

@@ -19,18 +19,7 @@ from insemu.scenario import AxisSource, RecordedSignal, Scenario, resolve_path
 Array = NDArray[np.float64]
 
 #: Streams of randomness; each gets children of the scenario's seed by (stream, realization or record, axis).
-_STREAMS = {
-    "truth": 0,
-    "gnss": 1,
-    "initial": 2,
-    "fits": 3,
-    "effects": 4,
-    "outages": 5,
-    "aids": 6,
-    "sensor": 7,
-    "linear": 8,
-    "coarse": 9,
-}
+_STREAMS = ("truth", "gnss", "initial", "fits", "effects", "outages", "aids", "sensor", "linear", "coarse")
 
 
 #: Interval of the epochs at which errors are evaluated, s.
@@ -39,7 +28,7 @@ OUTPUT_INTERVAL = 1.0
 
 def stream(seed: int, name: str, *index: int) -> np.random.Generator:
     """The generator of one stream, for example ``stream(seed, "truth", record, axis)``: the same alone or among 1000."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAMS[name], *index)))
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAMS.index(name), *index)))
 
 
 def input_files(scenario: Scenario, file: str | Path | None) -> dict[str, Path]:

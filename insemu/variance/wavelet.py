@@ -164,7 +164,21 @@ class Asked:
     def curve(
         self, value: Array, used: NDArray[np.int64], n_samples: int, edof: Array, scatter: Scatter | None
     ) -> WaveletVariance:
-        """The curve of variances (J,) of ``used`` coefficients each, with intervals from degrees of freedom or from how they scatter."""
+        """A curve with its intervals.
+
+        Parameters
+        ----------
+        value : (J,) array
+            Variances, unit^2.
+        used : (J,) array of int
+            Coefficients of each octave.
+        n_samples : int
+            Length of the record.
+        edof : (J,) array
+            Degrees of freedom.
+        scatter : Scatter, optional
+            How the estimates scatter, where that is known.
+        """
         scale = 2 ** np.arange(1, len(value) + 1, dtype=np.int64)
         low, high = chi_square_interval(value, edof, self.confidence, self.intervals, scatter=scatter)
         made = (scale, scale / self.rate_hz, value, low, high, edof, used, n_samples)
@@ -257,7 +271,7 @@ def _of_gaps(x: Array, asked: Asked, levels: int | None) -> WaveletVariance:
         raise InputError(f"of {x.size} samples {x.size - there} are missing: no octave has two coefficients")
     edof, scatter = curve.scatter.edof, curve.scatter if asked.intervals == "edof" else None
     if asked.intervals == "eta3":
-        scale = 2.0 ** np.arange(1, curve.value.size + 1)
+        scale = 2.0 ** np.arange(1, curve.value.size + 1, dtype=np.float64)
         edof = np.maximum(eta3(scale, x.size, length) / curve.inflation, 1.0)
     made = asked.curve(curve.value, curve.terms, x.size, edof, scatter)
     return replace(made, lost=lost, inflation=curve.inflation)
@@ -398,7 +412,19 @@ def stream_wavelet_variance(
 
 
 def curve_of_moments(value: Array, used: NDArray[np.int64], n_samples: int, rate_hz: float) -> WaveletVariance:
-    """The Haar curve of moments that were summed elsewhere (:class:`HaarAccumulator`, several stretches of one signal)."""
+    """The Haar curve of moments that were summed elsewhere (:class:`HaarAccumulator`, several stretches of one signal).
+
+    Parameters
+    ----------
+    value : (J,) array
+        Variances, unit^2.
+    used : (J,) array of int
+        Coefficients of each octave.
+    n_samples : int
+        Samples of all stretches.
+    rate_hz : float
+        Sampling rate.
+    """
     return _finish(value, used, n_samples, Asked(rate_hz))
 
 
