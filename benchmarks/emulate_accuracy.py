@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +20,8 @@ from scipy.signal import welch
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from insemu import earth, rotation, strapdown
-from insemu.emulate import TRAJECTORIES, Track, built_in, ideal_imu, navigation_error, smooth_track
-from insemu.emulate.drives import outage_windows
+from insemu.emulate import TRAJECTORIES, Flight, Track, built_in, ideal_imu, navigation_error, smooth_track
+from insemu.emulate.drives import drives
 from insemu.emulate.reckon import dead_reckon
 from insemu.emulate.track import held_out_distance, turn_rate
 from insemu.emulate.trajectory import turbulent_uav
@@ -218,11 +219,42 @@ def geodesy() -> None:
         say(f"normal gravity at {height:g} m against the closed form", off, "m/s^2", limit)
 
 
+def outage_windows(flights: Sequence[Flight]) -> list[dict[str, float | str]]:
+    """Duration, mean speed and turn of every outage window of the drives, together with the printed ones.
+
+    Returns
+    -------
+    list of dict
+        ``drive, outage, start_s, duration_s, speed_kmh, turn_deg`` and ``printed_duration_s, printed_speed_kmh,
+        printed_turn``; the turn is the largest change of course within the window.
+    """
+    rows: list[dict[str, float | str]] = []
+    for flight in flights:
+        for w, (start, duration) in zip(drives()[flight.name]["outages"], flight.outages, strict=True):
+            t = np.linspace(start, start + duration, int(duration * 100) + 1)
+            v = flight.path.vel_ned(t)
+            course = np.unwrap(np.arctan2(v[:, 1], v[:, 0]))
+            speed = np.hypot(v[:, 0], v[:, 1])
+            rows.append(
+                {
+                    "drive": flight.name,
+                    "outage": float(w["number"]),
+                    "start_s": start,
+                    "duration_s": duration,
+                    "speed_kmh": float(3.6 * np.trapezoid(speed, t) / duration),
+                    "turn_deg": float(np.rad2deg(np.ptp(course))),
+                    "printed_duration_s": w["duration_s"],
+                    "printed_speed_kmh": w["speed_kmh"],
+                    "printed_turn": w["turn"],
+                }
+            )
+    return rows
+
+
 def windows() -> None:
     print("\noutage windows of the urban drives beside tables 9 and 10 of Quinchia et al. (2013)")
     print(f"  {'outage':<8}{'start':>8}{'duration':>10}{'printed':>9}{'km/h':>9}{'printed':>9}{'turn':>9}   printed")
-    drives = [built_in(name) for name in ("urban_drive_1", "urban_drive_2")]
-    rows = outage_windows(drives)
+    rows = outage_windows([built_in(name) for name in ("urban_drive_1", "urban_drive_2")])
     for r in rows:
         print(
             f"  {r['outage']:<8.0f}{r['start_s']:>6.0f} s{r['duration_s']:>8.0f} s{r['printed_duration_s']:>7.0f} s{r['speed_kmh']:>9.2f}"

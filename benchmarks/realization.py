@@ -38,7 +38,7 @@ ONCE: dict[str, list[tuple[str, str]]] = {
     "covariance": [("insemu.cli.run", "with_budgets")],
     "gathering": [("insemu.evaluate.running", "collected")],
     "writing": [("insemu.evaluate", name) for name in ("write", "write_summary", "finish")],
-    "page": [("insemu.report", "render_experiment")],
+    "page": [("insemu.report.experiment", "render_experiment")],
     "pictures": [("insemu.report.static", "save")],
     "printing": [("insemu.cli.run", "show")],
 }

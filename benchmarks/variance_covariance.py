@@ -12,7 +12,49 @@ from pathlib import Path
 
 import numpy as np
 
+from insemu.report.style import COLOURS, pyplot, style
 from insemu.variance import level1_autocovariance, model_covariance, wavelet_variance
+
+
+def covariance_check(tau: np.ndarray, theory: np.ndarray, drawn: np.ndarray, draws: int, title: str):
+    """Asymptotic against drawn covariance of wavelet variances: standard deviations and correlations (Figs. 3 and 4 of Stebler et al. 2014).
+
+    Parameters
+    ----------
+    tau : (J,) array
+        Scales in samples.
+    theory, drawn : (J, J) arrays
+        Covariances.
+    draws : int
+        Number of draws behind ``drawn``.
+    title : str
+        Process and length.
+    """
+    with style():
+        figure, (left, right) = pyplot().subplots(1, 2, figsize=(10.5, 4.2))
+        left.loglog(tau, np.sqrt(np.diag(theory)), "-", color=COLOURS[0], label="theory, exact finite-record sum")
+        left.loglog(
+            tau,
+            np.sqrt(np.diag(drawn)),
+            "o",
+            color=COLOURS[1],
+            ms=5,
+            mfc="none",
+            label=f"{draws:,} draws".replace(",", " "),
+        )
+        left.set(xlabel="scale (samples)", ylabel="standard deviation of the wavelet variance", title=title)
+        left.legend()
+        a = theory / np.sqrt(np.outer(np.diag(theory), np.diag(theory)))
+        b = drawn / np.sqrt(np.outer(np.diag(drawn), np.diag(drawn)))
+        for k in range(len(tau)):
+            right.semilogx(tau, a[k], "-", color=COLOURS[k % len(COLOURS)], lw=1.2)
+            right.semilogx(tau, b[k], "o", color=COLOURS[k % len(COLOURS)], ms=4, mfc="none")
+        right.set(
+            xlabel="scale (samples)",
+            ylabel="correlation with each scale",
+            title="Correlations: lines theory, rings draws",
+        )
+    return figure
 
 
 def main(draws: int, figure: str, n: int = 1000) -> None:
@@ -28,8 +70,6 @@ def main(draws: int, figure: str, n: int = 1000) -> None:
     print(f"largest difference of a correlation: {np.abs(a - b)[np.ix_(use, use)].max():.4f}")
     print("all scales, variance, drawn / theory:", np.round(np.diag(drawn) / np.diag(theory), 4).tolist())
     if figure:
-        from insemu.report.characterise import covariance_check
-
         path = Path(figure)
         path.parent.mkdir(parents=True, exist_ok=True)
         drawing = covariance_check(scale.astype(float), theory, drawn, draws, f"White noise, {n} samples")

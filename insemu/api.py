@@ -572,7 +572,7 @@ def referee(
 
 
 def plot(result: Any, axes: Drawing | None = None, *, view: int | str = 0) -> Drawing | Figure:
-    """Draw the chart that a page shows of a result, see :func:`insemu.report.plot`.
+    """Draw the chart that a page shows of a result, see :func:`insemu.report.plotting.plot`.
 
     Parameters
     ----------
@@ -582,6 +582,6 @@ def plot(result: Any, axes: Drawing | None = None, *, view: int | str = 0) -> Dr
     view : int or str
         Which view is drawn on given axes, by number or name.
     """
-    from insemu.report import plot as draw
+    from insemu.report.plotting import plot as draw
 
     return draw(result, axes, view=view)

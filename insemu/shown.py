@@ -70,8 +70,8 @@ class Shown:
         return f"<p><b>{head}</b></p>{self.to_dataframe().to_html(max_rows=30, float_format=lambda v: f'{v:.4g}')}"
 
     def plot(self, axes: Axes | None = None, *, view: int | str = 0) -> Axes | Figure:
-        """Draw the chart that a page shows of this, see :func:`insemu.report.plot` (the room that draws, found when it is needed)."""
-        drawn: Axes | Figure = import_module("insemu.report").plot(self, axes, view=view)
+        """Draw the chart that a page shows of this, see :func:`insemu.report.plotting.plot` (the room that draws, found when it is needed)."""
+        drawn: Axes | Figure = import_module("insemu.report.plotting").plot(self, axes, view=view)
         return drawn
 
 

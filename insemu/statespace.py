@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from insemu.compiled import njit
 from insemu.errors import InputError
 from insemu.noise import StateBlock
+from insemu.noise.compiled import copy, multiply
 
 Array = NDArray[np.float64]
 
@@ -26,18 +27,20 @@ SETTLED = 1e-12
 
 
 class Model(NamedTuple):
-    """A state space as compiled code takes it.
+    """A state space as compiled code takes it, with k kinds of steps.
+
+    A step moves ``n`` states to ``r`` rows, of which the first ``n`` are the states after it; the sample sees the rows.
 
     Parameters
     ----------
-    Phi, Q : (n, n) arrays
-        Transition and driving covariance per sample.
-    c : (n,) array
-        What a sample sees of the state.
-    R : float
+    Phi, Q : (k, r, n), (k, r, r) arrays
+        Transition and driving covariance of each kind of step.
+    c : (r,) array
+        What a sample sees of the rows.
+    R : (k,) array
         Variance of the sample's own white noise, unit^2.
-    u : (n,) array
-        Constant input per sample.
+    u : (r,) array
+        Constant input per step.
     x0, P0 : (n,), (n, n) arrays
         Mean and covariance of the state before the first sample.
     """
@@ -45,7 +48,7 @@ class Model(NamedTuple):
     Phi: Array
     Q: Array
     c: Array
-    R: float
+    R: Array
     u: Array
     x0: Array
     P0: Array
@@ -71,81 +74,91 @@ class Moments(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def kalman(model: Model, y: Array, out: Filtered, keep: bool) -> tuple[float, int]:  # pragma: no cover - compiled
-    """Filter forwards; returns the log-likelihood and the index from which covariances are constant.
+def kalman(
+    model: Model, which: NDArray[np.int64], y: Array, out: Filtered, sums: Array
+) -> tuple[float, int]:  # pragma: no cover - compiled
+    """Filter forwards; returns minus half the logarithms of the innovations' variances, and the index from which covariances are constant.
 
     Parameters
     ----------
     model : Model
-    y : (N,) array
-        Signal.
+    which : (N,) array of int
+        Kind of each step.
+    y : (N, d) array
+        The signal and further columns that the same filter takes, for example what a unit constant adds to the signal.
     out : Filtered
-        Overwritten; without ``keep`` left alone, and of any size.
-    keep : bool
+        Overwritten, with the first column; left alone where it has no rows.
+    sums : (d, d) array
+        Products of the columns' innovations over their variance are added.
     """
     Phi, Q, c, R, u, x0, P0 = model
     xf, Pf, Pp = out
-    n = c.size
-    x, xp = x0.copy(), np.empty(n)
-    P, M, T, K = P0.copy(), np.empty((n, n)), np.empty((n, n)), np.empty(n)
-    total = 0.0
-    settled = y.size - 1
+    r, n, d = c.size, x0.size, y.shape[1]
+    x, xp, e = np.zeros((d, n)), np.empty((d, r)), np.empty(d)
+    for i in range(n):
+        x[0, i] = x0[i]
+    P, M, T, K, G = P0.copy(), np.empty((r, r)), np.empty((r, n)), np.empty(r), np.empty(r)
+    total, S, logS = 0.0, 1.0, 0.0
+    settled = y.shape[0] - 1
     constant = False
-    S = 1.0
-    logS = 0.0
-    for k in range(y.size):
-        for i in range(n):
-            s = u[i]
-            for j in range(n):
-                s += Phi[i, j] * x[j]
-            xp[i] = s
+    for k in range(y.shape[0]):
+        w = which[k]
+        F = Phi[w]
+        if k > 0 and which[k - 1] != w:
+            constant = False
+        for a in range(d):
+            for i in range(r):
+                s = u[i] if a == 0 else 0.0
+                for j in range(n):
+                    s += F[i, j] * x[a, j]
+                xp[a, i] = s
         if not constant:
-            for i in range(n):
-                for j in range(n):
-                    s = 0.0
+            multiply(F, P, T)
+            for i in range(r):
+                for j in range(i + 1):
+                    s = Q[w, i, j]
                     for h in range(n):
-                        s += Phi[i, h] * P[h, j]
-                    T[i, j] = s
-            for i in range(n):
-                for j in range(n):
-                    s = Q[i, j]
-                    for h in range(n):
-                        s += T[i, h] * Phi[j, h]
+                        s += T[i, h] * F[j, h]
                     M[i, j] = s
-            S = R
-            for i in range(n):
+                    M[j, i] = s
+            S = R[w]
+            for i in range(r):
                 s = 0.0
-                for j in range(n):
-                    s += 0.5 * (M[i, j] + M[j, i]) * c[j]
-                K[i] = s
+                for j in range(r):
+                    s += M[i, j] * c[j]
+                G[i] = s
                 S += c[i] * s
             if not S > 0.0:
                 return -np.inf, 0
             logS = math.log(2.0 * math.pi * S)
             change, largest = 0.0, 0.0
+            for i in range(r):
+                K[i] = G[i] / S
             for i in range(n):
                 for j in range(n):
-                    new = 0.5 * (M[i, j] + M[j, i]) - K[i] * K[j] / S
+                    new = M[i, j] - K[i] * G[j]
                     change = max(change, abs(new - P[i, j]))
                     largest = max(largest, abs(new))
                     P[i, j] = new
-            if keep:
-                for i in range(n):
-                    for j in range(n):
-                        Pf[k, i, j] = P[i, j]
-                        Pp[k, i, j] = 0.5 * (M[i, j] + M[j, i])
-            if k > 2 and change <= SETTLED * largest:
-                constant = True
+            if xf.size:
+                copy(P, Pf[k])
+                copy(M, Pp[k])
+            constant = k > 2 and which[k - 1] == w and change <= SETTLED * largest
+            if constant:
                 settled = k
-        e = y[k]
-        for i in range(n):
-            e -= c[i] * xp[i]
-        for i in range(n):
-            x[i] = xp[i] + K[i] * e / S
-        if keep:
+        for a in range(d):
+            s = y[k, a]
+            for i in range(r):
+                s -= c[i] * xp[a, i]
             for i in range(n):
-                xf[k, i] = x[i]
-        total -= 0.5 * (logS + e * e / S)
+                x[a, i] = xp[a, i] + K[i] * s
+            e[a] = s
+            for b in range(a + 1):
+                sums[a, b] += s * e[b] / S
+        if xf.size:
+            for i in range(n):
+                xf[k, i] = x[0, i]
+        total -= 0.5 * logS
     return total, settled
 
 
@@ -162,14 +175,11 @@ def smooth_sums(model: Model, filtered: Filtered, settled: int, out: Moments) ->
     settled : int
         Index from which the covariances are constant, of :func:`kalman`.
     out : Moments
-        Overwritten.
+        Overwritten; its sums are added to.
     """
-    Phi, u, (xf, Pf, Pp) = model.Phi, model.u, filtered
+    Phi, u, (xf, Pf, Pp) = model.Phi[0], model.u, filtered
     xs, Ps, now, cross, before, first = out
     N, n = xf.shape
-    now[:, :] = 0.0
-    cross[:, :] = 0.0
-    before[:, :] = 0.0
     P = Pf[min(N - 1, settled)].copy()
     J, T, new = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     ready = -2
@@ -185,12 +195,7 @@ def smooth_sums(model: Model, filtered: Filtered, settled: int, out: Moments) ->
         moved = nxt != ready
         if moved:
             # J = Pf Phi' Pp^-1 of the interval (t-1, t)
-            for i in range(n):
-                for j in range(n):
-                    s = 0.0
-                    for h in range(n):
-                        s += Pf[at, i, h] * Phi[j, h]
-                    T[i, j] = s
+            multiply(Pf[at], Phi.T, T)
             # by Cholesky of Pp, with a jitter below its digits for states without noise
             tiny = 1e-300
             for i in range(n):
@@ -217,30 +222,18 @@ def smooth_sums(model: Model, filtered: Filtered, settled: int, out: Moments) ->
                     J[r, i] = s / L[i, i]
             ready = nxt
         if moved or not steady:
-            for i in range(n):
-                for j in range(n):
-                    s = 0.0
-                    for h in range(n):
-                        s += P[i, h] * J[j, h]
-                    C[i, j] = s  # cov(x_t, x_(t-1))
+            multiply(P, J.T, C)  # cov(x_t, x_(t-1))
             for i in range(n):
                 for j in range(n):
                     D[i, j] = P[i, j] - Pp[nxt, i, j]
-            for i in range(n):
-                for j in range(n):
-                    s = 0.0
-                    for h in range(n):
-                        s += D[i, h] * J[j, h]
-                    G[i, j] = s
+            multiply(D, J.T, G)
+            multiply(J, G, new)
             change, largest = 0.0, 0.0
             for i in range(n):
                 for j in range(n):
-                    s = Pf[at, i, j]
-                    for h in range(n):
-                        s += J[i, h] * G[h, j]
-                    new[i, j] = s
-                    change = max(change, abs(s - P[i, j]))
-                    largest = max(largest, abs(s))
+                    new[i, j] += Pf[at, i, j]
+                    change = max(change, abs(new[i, j] - P[i, j]))
+                    largest = max(largest, abs(new[i, j]))
             steady = change <= SETTLED * largest
         for i in range(n):
             s = u[i]
@@ -259,7 +252,7 @@ def smooth_sums(model: Model, filtered: Filtered, settled: int, out: Moments) ->
                 cross[i, j] += C[i, j]
                 before[i, j] += new[i, j]
                 P[i, j] = new[i, j]
-    first[:, :] = P
+    copy(P, first)
 
 
 @dataclass(frozen=True)
@@ -296,7 +289,30 @@ def _prepared(block: StateBlock, y: ArrayLike, u: ArrayLike | None, x0: ArrayLik
     start = np.zeros(block.n) if x0 is None else np.asarray(x0, dtype=np.float64)
     if drift.shape != (block.n,) or start.shape != (block.n,):
         raise InputError(f"u and x0 have shapes {drift.shape} and {start.shape}, expected ({block.n},)")
-    return signal, Model(_c(block.Phi), _c(block.Q), _c(block.c), block.white, drift, start, _c(block.P0))
+    # the blocks' arrays are read-only, which would compile a second version
+    Phi, Q, c, P0 = (np.array(a) for a in (block.Phi[None], block.Q[None], block.c, block.P0))
+    return signal, Model(Phi, Q, c, np.array([block.white]), drift, start, P0)
+
+
+def innovations(model: Model, which: NDArray[np.int64], y: Array) -> tuple[float, Array]:
+    """Log-likelihood of a signal but for its squares, and the weighted squares of all columns.
+
+    Parameters
+    ----------
+    model : Model
+    which : (N,) array of int
+        Kind of each step.
+    y : (N, d) array
+        The signal, and columns that the same filter takes.
+
+    Returns
+    -------
+    float, (d, d) array
+        ``-sum(log(2 pi S)) / 2`` (minus infinity where an innovation has no variance) and ``sum(e e' / S)``, lower triangle.
+    """
+    nothing, sums = np.empty((0, 0, 0)), np.zeros((y.shape[1],) * 2)
+    value, _ = kalman(model, which, y, Filtered(np.empty((0, 0)), nothing, nothing), sums)
+    return float(value), sums
 
 
 def log_likelihood(
@@ -326,13 +342,8 @@ def log_likelihood(
         Wrong shapes, values that are not finite.
     """
     signal, model = _prepared(block, y, u, x0)
-    if block.n == 0:
-        if block.white <= 0:
-            return -math.inf
-        return float(-0.5 * (signal.size * math.log(2.0 * math.pi * block.white) + signal @ signal / block.white))
-    nothing = np.empty((1, 1, 1))
-    value, _ = kalman(model, signal, Filtered(nothing[0], nothing, nothing), False)
-    return float(value)
+    value, sums = innovations(model, np.zeros(signal.size, dtype=np.int64), signal[:, None])
+    return value - 0.5 * float(sums[0, 0])
 
 
 def smooth(block: StateBlock, y: ArrayLike, *, u: ArrayLike | None = None, x0: ArrayLike | None = None) -> Smoothed:
@@ -358,13 +369,8 @@ def smooth(block: StateBlock, y: ArrayLike, *, u: ArrayLike | None = None, x0: A
     if n == 0:
         raise InputError("a block without states has nothing to smooth")
     filtered = Filtered(np.empty((N, n)), np.empty((N, n, n)), np.empty((N, n, n)))
-    value, settled = kalman(model, signal, filtered, True)
+    square = np.zeros((1, 1))
+    value, settled = kalman(model, np.zeros(N, dtype=np.int64), signal[:, None], filtered, square)
     out = Moments(np.empty((N, n)), np.empty((N, n)), *(np.zeros((n, n)) for _ in range(4)))
     smooth_sums(model, filtered, settled, out)
-    return Smoothed(*out, float(value))
-
-
-def _c(a: Array) -> Array:
-    return np.array(
-        a, dtype=np.float64, order="C"
-    )  # the blocks' arrays are read-only, which would compile a second version
+    return Smoothed(*out, float(value) - 0.5 * float(square[0, 0]))

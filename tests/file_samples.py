@@ -9,7 +9,7 @@ import io
 import json
 import struct
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -20,8 +20,9 @@ import numpy as np
 
 from insemu import earth, rotation
 from insemu.emulate import built_in, gnss_fixes, ideal_imu
-from insemu.formats import write
+from insemu.formats import programs, write
 from insemu.formats.clocks import GPS_EPOCH
+from insemu.noise import NoiseModel
 from insemu.records import GnssRecord, ImuRecord, Recording, Series, Trajectory
 
 #: Start of the drive on the clocks of the field: a Sunday 10:00 GPS time of week 2300.
@@ -879,3 +880,11 @@ def joint_csv(folder: Path) -> Written:
 def headerless(folder: Path) -> Written:
     imu = drive().imu
     return Written(_csv(folder / "a.txt", "", imu.t * 1e9 + 5e9, imu.gyro, imu.accel, separator=" "), IMU, 5.0)
+
+
+def spell(
+    models: Mapping[str, NoiseModel], program: str, *, rate_hz: float, record_s: float = 3600.0
+) -> tuple[str, list[str]]:
+    """Noise models in another program's words as they are, without a check of their Allan deviation; what was not exact."""
+    triads, notes = programs.reduce_models(models, rate_hz, record_s)
+    return programs.spelled(program, triads, rate_hz), notes

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from insemu import earth, rotation, strapdown
 from insemu.augment import Belief, per_axis, true_states
@@ -28,6 +28,25 @@ MODEL_24: dict[str, NoiseModel] = {
 }
 
 
+def of_partial_correlations(correlations: ArrayLike, *, sigma2: float, rate_hz: float) -> AR:
+    """The autoregression with these partial autocorrelations (Durbin's recursion), stationary where all lie between -1 and 1."""
+    ar = np.zeros(0)
+    for k in np.asarray(correlations, dtype=np.float64):
+        ar = np.append(ar - k * ar[::-1], k)
+    return AR(tuple(float(v) for v in ar), sigma2=sigma2, rate_hz=rate_hz)
+
+
+def partial_correlations(coefficients: ArrayLike) -> NDArray[np.float64]:
+    """Partial autocorrelations, (p,), of coefficients: the inverse; NaN below a value of exactly 1."""
+    ar = np.array(coefficients, dtype=np.float64)
+    out = np.empty(ar.size)
+    for at in range(ar.size - 1, -1, -1):
+        k = out[at] = ar[at]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ar = (ar[:at] + k * ar[:at][::-1]) / (1.0 - k**2)
+    return out
+
+
 def _printed_ar3(printed: tuple[float, float, float], sigma2: float, first_order: float) -> AR:
     """AR(3) of 004, Table 2, stable: the first partial autocorrelation is that of the AR(1) row, at most half a printed digit below 1.
 
@@ -35,9 +54,9 @@ def _printed_ar3(printed: tuple[float, float, float], sigma2: float, first_order
     inwards instead (radius 0.9995) makes the standard deviation of the gyroscope error 0.0053 rad/s, 24 times that of the AR(1) row of the
     same signal, and attitude errors of half a radian within a minute, where no linearised filter knows its error.
     """
-    k = AR(printed, sigma2=1.0).partial_correlations()
+    k = partial_correlations(printed)
     k[0] = min(first_order, 0.9995)
-    return AR.of_partial_correlations(k, sigma2=sigma2, rate_hz=RATE)
+    return of_partial_correlations(k, sigma2=sigma2, rate_hz=RATE)
 
 
 MODEL_27: dict[str, NoiseModel] = {

@@ -15,7 +15,7 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import Browser, sync_playwright
 
-from insemu.report import server
+from insemu.report.serve import server
 from tests.test_page_browser import BROWSER, KINDS, SLOW_KINDS, make_pages
 
 WIDTHS = (420, 768, 1280)

@@ -9,6 +9,7 @@ from insemu.augment import TURN_ON, Extras, StateLayout, augment, per_axis, true
 from insemu.errors import InputError
 from insemu.noise import AR, AR1, DR, GM, QN, RC, RW, WN, Follows, NoiseModel
 from insemu.records import AXES, ImuRecord
+from tests import filter_cases as cases
 
 DT = 0.01
 
@@ -106,7 +107,7 @@ def test_bad_sizes_are_refused():
     [
         2 * GM(sigma=1.0, beta=2.0) + WN(N=0.1) + RW(K=0.3) + RC(sigma=2.0),
         AR((2.5, -2.09, 0.58), sigma2=1.0, rate_hz=100.0).stabilised(0.99) + WN(N=1.0),
-        AR.of_partial_correlations((0.999, -0.998, 0.567), sigma2=1e-6, rate_hz=100.0) + GM(sigma=1.0, beta=1.0),
+        cases.of_partial_correlations((0.999, -0.998, 0.567), sigma2=1e-6, rate_hz=100.0) + GM(sigma=1.0, beta=1.0),
         AR((1.2, -0.5, 0.1, -0.2), sigma2=2.0, rate_hz=100.0) + DR(R=0.1),
     ],
     ids=["first order", "three poles", "complex poles", "AR(4)"],
@@ -141,7 +142,7 @@ def test_fits_of_several_orders_to_one_signal_are_tied_by_partial_correlations()
         ((2.565, -2.133, 0.568), 1.905e-13, 7.04e-11),
         ((2.564, -2.136, 0.572), 8.399e-12, 1.148e-9),
     ):
-        k = AR(ar, sigma2=1.0).partial_correlations()
+        k = cases.partial_correlations(ar)
         assert k[0] == pytest.approx(1.0, abs=1e-12)  # the coefficients sum to 1 as printed
         assert sigma2 == pytest.approx(first * (1 - k[1] ** 2) * (1 - k[2] ** 2), rel=0.08)
     # moved straight inwards the pole at 1 makes another sensor of it: docs/designs.md, "27AR as printed"
@@ -149,8 +150,8 @@ def test_fits_of_several_orders_to_one_signal_are_tied_by_partial_correlations()
     first = AR1(0.999, 1.014e-10, rate_hz=100.0).block(DT).P0[0, 0]
     assert np.sqrt([moved, first]) == pytest.approx([5.33e-3, 2.27e-4], rel=0.02)
     k = (0.999, -0.998, 0.567)
-    process = AR.of_partial_correlations(k, sigma2=1.0, rate_hz=100.0)
-    assert process.partial_correlations() == pytest.approx(k, rel=1e-9)
+    process = cases.of_partial_correlations(k, sigma2=1.0, rate_hz=100.0)
+    assert cases.partial_correlations(process.ar) == pytest.approx(k, rel=1e-9)
     assert process.block(DT).P0[0, 0] == pytest.approx(1.0 / np.prod(1.0 - np.array(k) ** 2), rel=1e-6)
 
 

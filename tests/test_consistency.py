@@ -13,6 +13,7 @@ from insemu.filters import FilterOptions, FixTable, LooselyCoupledEKF, run_filte
 from insemu.noise import GM, RC, WN
 from tests import filter_cases as cases
 from tests.budget import binomial, binomial_power, statistical
+from tests.consistency_of_runs import consistency_report, pooled_coverage, whiteness_test
 
 SHAPE = (60, 12)
 
@@ -46,14 +47,6 @@ def test_a_wrong_covariance_is_found_and_named(draws, scale, word):
     verdicts = c.nees_test(c.nees(e, scale**2 * P), 9, subject="all", at=np.arange(12.0))
     assert {t.word for t in verdicts} == {word}
     assert f"NEES/dof of all at 0 s: {verdicts[0].value:.4g}" in str(verdicts[0]) and word in str(verdicts[0])
-    lean = c.credibility(e, scale**2 * P)
-    assert lean.inclination == pytest.approx(-20 * np.log10(scale), abs=1.0) and word in str(lean)
-
-
-def test_a_right_covariance_is_credible(draws):
-    assert c.credibility(*draws).index < 1.5
-    with pytest.raises(InputError, match="at least 18"):
-        c.credibility(draws[0][:10], draws[1][:10])
 
 
 def test_states_without_uncertainty_are_left_out_epoch_by_epoch(draws):
@@ -82,10 +75,10 @@ def test_innovations_are_judged_by_size_and_colour():
     rng = np.random.default_rng(3)
     y = rng.standard_normal((800, 6))
     assert c.nis_test(fixes_of(y), confidence=0.9999).passed
-    assert all(t.passed for t in c.whiteness_test([fixes_of(y[:400]), fixes_of(y[400:])], confidence=0.9999))
+    assert all(t.passed for t in whiteness_test([fixes_of(y[:400]), fixes_of(y[400:])], confidence=0.9999))
     assert c.nis_test(fixes_of(1.2 * y)).word == "overconfident"
     coloured = y + 0.3 * np.vstack([y[:1], y[:-1]])
-    verdicts = c.whiteness_test(fixes_of(coloured / np.sqrt(1.09)))
+    verdicts = whiteness_test(fixes_of(coloured / np.sqrt(1.09)))
     assert verdicts[0].word == "correlated" and verdicts[0].value == pytest.approx(0.3 / 1.09, abs=0.05)
     assert "the model is incomplete" in str(verdicts[0])
 
@@ -145,9 +138,9 @@ def test_coverage_is_judged_by_runs():
 def test_pooled_coverage_has_an_interval():
     rng = np.random.default_rng(6)
     e = rng.standard_normal((100, 200, 6))
-    share, low, high = c.pooled_coverage(e, np.ones_like(e), rng=rng)
+    share, low, high = pooled_coverage(e, np.ones_like(e), rng=rng)
     assert low < share < high and low < 0.9973 < high
-    assert c.pooled_coverage(e, 0.5 * np.ones_like(e), rng=rng)[2] < 0.95
+    assert pooled_coverage(e, 0.5 * np.ones_like(e), rng=rng)[2] < 0.95
 
 
 def test_bad_covariances_are_refused():
@@ -179,7 +172,7 @@ def test_a_report_of_flown_filters_passes_and_its_negative_twin_does_not():
             errors.append(cases.strapdown.navigation_errors(r.nav[rows], road.nav[rows * 100]))
             covariances.append(r.covariance[:, :9, :9])
             tables.append(r.fixes)
-        return c.consistency_report(np.array(errors), np.array(covariances), tables, at=at, confidence=0.9999)
+        return consistency_report(np.array(errors), np.array(covariances), tables, at=at, confidence=0.9999)
 
     good = report(cases.MODEL_15)
     assert all(v.passed for v in good), [str(v) for v in good if not v.passed]
@@ -221,7 +214,7 @@ def test_bounds_are_quantiles_of_a_family():
 
 def test_groups_of_states_share_the_confidence_of_a_report(draws):
     """Position, velocity and attitude at twelve epochs: 36 tests of NEES."""
-    report = c.consistency_report(*draws, [fixes_of(np.random.default_rng(1).standard_normal((50, 6)))], at=range(12))
+    report = consistency_report(*draws, [fixes_of(np.random.default_rng(1).standard_normal((50, 6)))], at=range(12))
     found = [v for v in report if v.test == "NEES/dof"]
     assert len(found) == 36
     expected = stats.chi2.ppf([0.005 / 36, 1.0 - 0.005 / 36], 3 * SHAPE[0]) / (3 * SHAPE[0])

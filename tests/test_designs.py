@@ -23,6 +23,7 @@ from insemu.filters import LooselyCoupledEKF, protocol
 from insemu.noise import AR, NoiseModel, save
 from insemu.records import AXES
 from insemu.scenario import Design, Scenario, digest, load, shipped_designs, state_names
+from tests import filter_cases as cases
 
 SCENARIO: dict[str, Any] = {
     "title": "small flight",
@@ -103,8 +104,8 @@ def test_printed_autoregressions_agree_with_their_table():
         three = Design.model_validate("27AR printed").sources()[axis]
         assert isinstance(one, NoiseModel) and isinstance(three, NoiseModel)
         first, process = one.processes[0].ar[0], three.processes[0]
-        k = AR(printed, sigma2=1.0).partial_correlations()
-        assert process.partial_correlations() == pytest.approx([first, *k[1:]], abs=2e-4)
+        k = cases.partial_correlations(printed)
+        assert cases.partial_correlations(process.ar) == pytest.approx([first, *k[1:]], abs=2e-4)
         ratio = process.block(0.01).P0[0, 0] / one.processes[0].block(0.01).P0[0, 0]
         assert 0.5 < ratio < 2.0  # one signal, fitted twice
 

@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 
+from benchmarks.emulate_accuracy import outage_windows
 from insemu import earth, rotation
 from insemu.emulate import (
     TRAJECTORIES,
@@ -27,7 +28,6 @@ from insemu.emulate import (
     smooth_track,
 )
 from insemu.emulate.commands import read_motion
-from insemu.emulate.drives import outage_windows
 from insemu.emulate.motion import Command, profile, smoothstep, smoothstep_integral, smoothstep_slope
 from insemu.emulate.track import held_out_distance, turn_rate
 from insemu.emulate.vehicle import VEHICLES

@@ -16,13 +16,13 @@ from insemu import earth, noise, units
 from insemu.cli import main
 from insemu.errors import InputError
 from insemu.fit import fit
-from insemu.formats import IMU_BINARIES, open_files, utc_of, write, write_imu_binary
-from insemu.formats.programs import PROGRAMS, reduce_models, spell
+from insemu.formats import IMU_BINARIES, Fitted, hand_on, open_files, utc_of, write, write_imu_binary
+from insemu.formats.programs import PROGRAMS, reduce_models
 from insemu.formats.readers import imu_binary
 from insemu.formats.tracks_out import way_of, write_way
 from insemu.noise import GM, RC, RW, WN, NoiseModel
 from insemu.records import ImuRecord, Recording, Series
-from tests.file_samples import UNIX, drive
+from tests.file_samples import UNIX, drive, spell
 
 RATE, SECONDS = 20.0, 6000.0
 DT = 1.0 / RATE
@@ -159,7 +159,7 @@ def test_a_walk_that_was_not_found_is_no_zero() -> None:
 )
 def test_bad_exports_are_refused(models: dict[str, NoiseModel], program: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
-        spell(models, program, rate_hz=100.0)
+        hand_on({axis: Fitted(m) for axis, m in models.items()}, program, rate_hz=100.0)
 
 
 def test_models_are_exported_by_the_command(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def test_a_page_is_written_without_matplotlib_and_says_what_is_not_beside_it(
     view = View("", "m", [Line("up", [0.0, 2.0], "#0072B2")])
     chart = Chart("over time", "what goes up", [0.0, 1.0], "time, s", [view])
     for name in ("one", "two"):
-        page.render(name, [page.Section("Charts", [chart])], tmp_path / f"{name}.html", kind="run", pictures=True)
+        page.Page(name, [page.Section("Charts", [chart])], kind="run").write(tmp_path / f"{name}.html", pictures=True)
     assert (tmp_path / "two.html").is_file()
     assert not (tmp_path / "figures").exists()
     (line,) = heard

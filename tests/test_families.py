@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from insemu import strapdown
 from insemu.augment import Extras
 from insemu.errors import InputError
-from insemu.evaluate.consistency import nis_test, pooled_coverage
+from insemu.evaluate.consistency import nis_test
 from insemu.filters import FAMILIES, Family, FilterOptions, FilterParts, FilterResult, InitialSigma, LooselyCoupledEKF
 from insemu.filters.families import settle
 from insemu.filters.unscented import UnscentedKalmanFilter
@@ -19,6 +19,7 @@ from insemu.noise import GM, WN, Follows
 from insemu.records import AidRecord
 from tests import filter_cases as cases
 from tests.budget import chi_square, chi_square_power, statistical
+from tests.consistency_of_runs import pooled_coverage
 from tests.filter_cases import DT, MODEL_15, START_SIGMA
 from tests.test_aids import EMULATED, motion_of, record, use
 from tests.test_filters_matched import halved

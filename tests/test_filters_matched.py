@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from insemu import earth, rotation, strapdown
-from insemu.evaluate.consistency import nees, nees_test, nis_test, pooled_coverage
+from insemu.evaluate.consistency import nees, nees_test, nis_test
 from insemu.filters import FilterOptions, InitialSigma, LooselyCoupledEKF
 from insemu.noise import AR, AR1, GM, WN
 from insemu.records import GnssRecord, ImuRecord
 from insemu.strapdown import NavState
 from tests import filter_cases as cases
+from tests.consistency_of_runs import pooled_coverage
 from tests.filter_cases import DT, MODEL_15, MODEL_24, MODEL_27, START_SIGMA
 
 OUTAGES = ((420.0, 480.0), (660.0, 720.0), (900.0, 960.0))

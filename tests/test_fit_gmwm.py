@@ -13,7 +13,7 @@ from insemu.errors import InputError
 from insemu.fit import FitResult, fit, save
 from insemu.fit.covariance import model_covariance
 from insemu.fit.gmwm import finite_record_bias, fit_curve
-from insemu.fit.minimum import Solution
+from insemu.fit.minimum import Problem, Solution
 from insemu.fit.structure import Structure, natural_jacobian
 from insemu.noise import AR, AR1, BI, DR, GM, MA, QN, RW, SIN, WN, NoiseModel, load
 from insemu.records import Series
@@ -203,9 +203,8 @@ def test_curvature_bias_of_a_root_is_the_closed_form():
     d = result.details
     coefficients, shapes = structure.internal(result.model)
     at = Solution(coefficients, shapes, 0.0, True)
-    bias = finite_record_bias(
-        structure, at, d["free"], result.covariance, d["scales"], d["W"], d["curve_covariance"], result.n_samples
-    )
+    problem = Problem(structure, d["scales"], result.curve.value, result.n_samples)
+    bias = finite_record_bias(problem, at, d["free"], result.covariance, d["W"], d["curve_covariance"])
     relative = result["WN1.N"].standard_error / result["WN1.N"].value
     assert_allclose(bias[0] / result["WN1.N"].value, -0.5 * relative**2, rtol=0.02)
 

@@ -18,7 +18,7 @@ from insemu.gap import find_static_gap
 from insemu.noise import AR, AR1, GM, WN, Follows, NoiseModel, load, save
 from insemu.noise.chain import sections, slower
 from insemu.records import Series
-from insemu.report import following_answer
+from insemu.report.following import following_answer
 from insemu.strapdown import NavState
 from tests import filter_cases as cases
 from tests.following_experiments import RATE, SLOPE, TEMPERATURE, TIMES, N, coverage, structure_of

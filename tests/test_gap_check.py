@@ -19,7 +19,7 @@ from insemu.gap.drive import Flown
 from insemu.gap.predictive import Check, OutageErrors, Statistic, check, kept, motion_of, outage_errors, twin_of
 from insemu.gap.worth import white_levels
 from insemu.records import Recording
-from insemu.report import render_check
+from insemu.report.predictive import render_check
 
 
 @pytest.fixture(scope="module")

@@ -42,7 +42,7 @@ from insemu.gap.problems.search_result import held_out
 from insemu.gap.verdict import Finding, Value
 from insemu.gap.worth import stated_in_outages
 from insemu.records import GnssRecord, Recording
-from insemu.report import finding_action
+from insemu.report.gap import finding_action
 from insemu.scenario import Gnss
 from tests.test_gap_dynamic import BELIEF, LEVER, flown, nominal_run, recording, use
 

@@ -10,7 +10,7 @@ from insemu.gap.candidates.mounting import Mounted
 from insemu.gap.holdout import DriveScore, burst
 from insemu.gap.session import _scored
 from insemu.gap.verdict import Burst, Finding, GapReport, Interval, Value
-from insemu.report import burst_said, is_better
+from insemu.report.gap import burst_said, is_better
 
 REPORT = GapReport(
     "named", (), (), (), Interval.positive(4.0, 0.2), Interval.positive(1.07, 0.08), Interval.normal(6.0, 0.1)

@@ -28,7 +28,7 @@ from insemu.gap.worth import white_levels
 from insemu.noise import WN, NoiseModel
 from insemu.records import AXES as RECORD_AXES
 from insemu.records import ImuRecord
-from insemu.report import shaking_said
+from insemu.report.gap import shaking_said
 
 DT, N = 0.01, 12_000
 AXES = ("gyro_x", "gyro_y", "accel_z")

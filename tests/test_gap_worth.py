@@ -28,7 +28,7 @@ from insemu.gap.worth import (
 )
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import GnssRecord, Recording
-from insemu.report import finding_action, finding_metres
+from insemu.report.gap import finding_action, finding_metres
 
 T = 60.0
 

@@ -15,7 +15,7 @@ from insemu.formats import npz as npz_files
 from insemu.formats import read_log, static
 from insemu.report import experiment_charts
 from insemu.report.charts import Chart, Ledger, Line, View
-from insemu.report.page import Section, render
+from insemu.report.page import Page, Section
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
@@ -33,7 +33,7 @@ def a_ledger(count: int = 60) -> Ledger:
 
 def test_a_ledger_holds_its_numbers_once(tmp_path: Path) -> None:
     ledger = a_ledger()
-    html = render("t", [Section("s", [ledger])], tmp_path / "p.html", kind="run").read_text(encoding="utf-8")
+    html = Page("t", [Section("s", [ledger])], kind="run").write(tmp_path / "p.html").read_text(encoding="utf-8")
     assert "<one>" not in html
     found = json.loads(re.search(r'<div class="ledger">\s*<script type="application/json">(.*?)</script>', html)[1])
     assert found["rows"] == [list(r) for r in ledger.rows]
@@ -46,7 +46,7 @@ def test_a_ledger_holds_its_numbers_once(tmp_path: Path) -> None:
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
 def test_every_row_is_reached(tmp_path: Path) -> None:
     sync = pytest.importorskip("playwright.sync_api")
-    page = render("t", [Section("s", [a_ledger()])], tmp_path / "p.html", kind="run")
+    page = Page("t", [Section("s", [a_ledger()])], kind="run").write(tmp_path / "p.html")
     with sync.sync_playwright() as p:
         browser = p.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
         tab = browser.new_page(viewport={"width": 420, "height": 900})

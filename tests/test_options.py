@@ -63,6 +63,7 @@ def written() -> list[tuple[str, str]]:
                 out.append((path.name, node.value))
     for path in [
         *ROOT.glob("*.md"),
+        ROOT / "insemu" / "cli" / "options.txt",
         *(ROOT / "docs").rglob("*.md"),
         *(ROOT / "docs").rglob("*.yaml"),
         *(ROOT / "scenarios").rglob("*.yaml"),

@@ -18,9 +18,9 @@ import pytest
 import yaml
 
 from insemu.cli import main
-from insemu.report import server
 from insemu.report.charts import Chart, Line, View, asset
-from insemu.report.page import Card, Code, Folded, Items, Section, Table, Text, render
+from insemu.report.page import Card, Code, Folded, Items, Page, Section, Table, Text
+from insemu.report.serve import server
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
@@ -58,17 +58,15 @@ def a_page(folder: Path) -> Path:
         Card("one", "110 m (97 to 122)", "Knows its error", "good", ["24 states"]),
         Card("two", "325 m", "Optimistic", "bad"),
     ]
-    return render(
+    return Page(
         "A page",
         sections,
-        folder / "page.html",
         kind="run",
         source="scenarios/s.yaml",
         answer="Take one: 110 m.",
         lead="A question.",
         cards=cards,
-        footer="insemu",
-    )
+    ).write(folder / "page.html")
 
 
 @pytest.fixture(scope="module")

@@ -311,7 +311,7 @@ def test_what_fails_after_flying_loses_no_results(
         raise InputError("no budget today")
 
     monkeypatch.setattr("insemu.evaluate.analyse_designs", fail)
-    monkeypatch.setattr("insemu.report.render_experiment", fail)
+    monkeypatch.setattr("insemu.report.experiment.render_experiment", fail)
     out = tmp_path / "out"
     path = write(tmp_path, variants={}, realizations=1, fits=None, designs={"full": SCENARIO["designs"]["full"]})
     assert run(str(path), "--output", str(out)) == 1

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from insemu.errors import InputError
-from insemu.report import server
-from insemu.report.page import Card, Section, Text, render
+from insemu.report.page import Card, Page, Section, Text
+from insemu.report.serve import server
 
 
 @pytest.fixture
@@ -20,14 +20,9 @@ def folder(tmp_path: Path) -> Path:
     root = tmp_path / "results"
     for name in ("one", "two & <b>two</b>"):
         target = root / name.split()[0] / "index.html"
-        render(
-            name,
-            [Section("A", [Text("text")])],
-            target,
-            kind="run",
-            answer=f"Take {name}.",
-            cards=[Card("x", "1 m", "good")],
-        )
+        Page(
+            name, [Section("A", [Text("text")])], kind="run", answer=f"Take {name}.", cards=[Card("x", "1 m", "good")]
+        ).write(target)
     (root / ".hidden.html").write_text("hidden", encoding="utf-8")
     (root / "run.py").write_text("print()", encoding="utf-8")
     (root / "link.html").symlink_to(tmp_path / "secret.html")

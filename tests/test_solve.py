@@ -25,7 +25,7 @@ from insemu.intake import velocity_lag
 from insemu.noise import WN, NoiseModel
 from insemu.prepared import prepared
 from insemu.records import GnssRecord, ImuRecord, Recording
-from insemu.report import solve_answer
+from insemu.report.solve import solve_answer
 from insemu.scenario import load
 from insemu.solve import Solution, candidates, cut_everywhere, solve, summary, way_of_solution, write
 from insemu.solve.against import compare_with

@@ -16,9 +16,9 @@ from insemu.errors import InputError
 from insemu.fit import fit
 from insemu.noise import DR, GM, RW, SIN, WN, NoiseModel
 from insemu.variance import level1_autocovariance, model_edof, wavelet_variance
-from insemu.variance.covariance import model_covariance_of_filter
 from insemu.variance.filtered import _bins, expected_variance, filter_covariance
 from insemu.variance.filters import FILTERS, modwt_filters
+from tests.wavelet_oracles import model_covariance_of_filter
 
 N = 20_000
 MODELS = {"WN": NoiseModel((WN(1.0),)), "GM": NoiseModel((GM(1.0, 0.02),)), "RW": NoiseModel((RW(1.0),))}
@@ -169,8 +169,6 @@ def test_what_cannot_be_fitted_is_refused_by_name() -> None:
             fit(x, structure, rate_hz=1.0, wavelet="d8")
     with pytest.raises(InputError, match="belongs to gmwm"):
         fit(x, "WN()", "mli", rate_hz=1.0, wavelet="d8")
-    with pytest.raises(InputError, match="dwt"):
-        fit(wavelet_variance(x, transform="dwt"), "WN()")
 
 
 @pytest.mark.slow(reason="hundreds of draws for a coverage, a size or a bias")

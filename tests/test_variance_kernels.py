@@ -11,7 +11,7 @@ from scipy.linalg import toeplitz
 
 from insemu import variance as v
 from insemu.noise import AR1, GM, QN, RW, WN
-from insemu.variance import _covariance_kernel, _gaps_kernel, _kernel, edof, filtered, gaps
+from insemu.variance import _covariance_kernel, _gaps_kernel, _kernel, allan, edof, filtered, gaps
 from tests.pins import numbers
 
 Array = NDArray[np.float64]
@@ -58,18 +58,23 @@ def test_the_pyramid_sums_squares_of_plain_differences(n: int, full: int) -> Non
 
 
 def test_differences_of_running_sums() -> None:
-    s = np.cumsum(numbers(60, 3))
+    x = numbers(60, 3)
+    s = np.cumsum(np.concatenate([[0.0], x - x.mean()]))
+
+    def found(kind: allan.Kind, m: int) -> float:
+        return float(allan._values(x, np.array([m]), kind)[0])
+
     for m in (1, 2, 7, 19):
-        for every in (1, 3):
-            d = s[3 * m :] - 3.0 * s[2 * m : -m] + 3.0 * s[m : -2 * m] - s[: -3 * m]
-            np.testing.assert_allclose(_kernel.third_differences(s, m, every), np.sum(d[::every] ** 2))
-            np.testing.assert_allclose(_kernel.second_differences(s, m, every), np.sum(_second(s, m, every) ** 2))
+        d = s[3 * m :] - 3.0 * s[2 * m : -m] + 3.0 * s[m : -2 * m] - s[: -3 * m]
+        for hadamard, plain, every in (("overlapping-hadamard", "overlapping", 1), ("hadamard", "non-overlapping", m)):
+            np.testing.assert_allclose(found(hadamard, m), np.mean(d[::every] ** 2) / (6 * m**2))  # type: ignore[arg-type]
+            np.testing.assert_allclose(found(plain, m), np.mean(_second(s, m, every) ** 2) / (2 * m**2))  # type: ignore[arg-type]
         averaged = np.convolve(_second(s, m), np.ones(m), "valid")
-        np.testing.assert_allclose(_kernel.averaged_second_differences(s, m), np.sum(averaged**2))
+        np.testing.assert_allclose(found("modified", m), np.mean(averaged**2) / (2 * m**4))
     for m in (1, 2, 7, 19, 40, 58):
-        ends = np.concatenate([2 * s[0] - s[59:0:-1], s, 2 * s[-1] - s[58::-1]])
-        inner = ends[60 - m : 118 - m] - 2.0 * ends[60:118] + ends[60 + m : 118 + m]
-        np.testing.assert_allclose(_kernel.reflected_second_differences(s, m), np.sum(inner**2))
+        ends = np.concatenate([2 * s[0] - s[60:0:-1], s, 2 * s[-1] - s[59::-1]])
+        inner = ends[61 - m : 120 - m] - 2.0 * ends[61:120] + ends[61 + m : 120 + m]
+        np.testing.assert_allclose(found("total", m), np.mean(inner**2) / (2 * m**2))
 
 
 def test_small_sums() -> None:

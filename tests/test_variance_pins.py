@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from insemu import variance as v
 from insemu.noise import AR1, DR, GM, QN, RW, WN
-from insemu.variance import allan, covariance, edof, filtered, filters, findings, gaps, robust, wavelet
+from insemu.variance import allan, edof, filtered, filters, findings, gaps, robust, wavelet
 from tests.pins import differences, kept, numbers, plain
+from tests.wavelet_oracles import model_covariance_of_filter
 
 Array = NDArray[np.float64]
 RATE = 20.0
@@ -93,8 +94,6 @@ def _curves() -> dict[str, Callable[[], Any]]:
         out[f"scatter d4 {kind}"] = lambda kind=kind: filtered.scatter_of_filter(_noise(kind), "d4", 6, 1200)
     for option in ("eta3", "normal"):
         out[f"wavelet intervals {option}"] = lambda option=option: _curve("walk", intervals=option)
-    out["wavelet dwt"] = lambda: _curve("walk", transform="dwt")
-    out["wavelet dwt la8"] = lambda: _curve("walk", transform="dwt", filter="la8", levels=4)
     out["wavelet own edof"] = lambda: _curve("walk", levels=3, edof=[5.0, 9.0, 200.0])
     return out
 
@@ -170,7 +169,7 @@ def _models() -> dict[str, Callable[[], Any]]:
                 )
                 for slope in (0.0, 0.01)
             ]
-            out[f"covariance d4 {name}"] = lambda gamma=gamma: covariance.model_covariance_of_filter(
+            out[f"covariance d4 {name}"] = lambda gamma=gamma: model_covariance_of_filter(
                 gamma, 200, filter="d4", levels=3
             )
         out[f"filter covariance {name}"] = lambda model=model: v.filter_covariance(
@@ -304,7 +303,6 @@ def _said() -> dict[str, Callable[[], Any]]:
         "confidence": lambda: v.wavelet_variance(y, RATE, confidence=1.0),
         "no confidence": lambda: v.wavelet_variance(y, RATE, confidence=0.0),
         "intervals": lambda: v.wavelet_variance(y, RATE, intervals="x"),  # type: ignore[arg-type]
-        "transform": lambda: v.wavelet_variance(y, RATE, transform="x"),  # type: ignore[arg-type]
         "filter": lambda: v.wavelet_variance(y, RATE, filter="d5"),
         "levels": lambda: v.wavelet_variance(y, RATE, levels=0),
         "many levels": lambda: v.wavelet_variance(y, RATE, levels=20),

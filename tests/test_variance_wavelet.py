@@ -24,7 +24,6 @@ from insemu.variance import (
     wavelet_variance,
     wv_covariance,
 )
-from insemu.variance.covariance import model_covariance_of_filter
 from insemu.variance.edof import (
     OCTAVES_TOGETHER,
     Scatter,
@@ -36,6 +35,7 @@ from insemu.variance.edof import (
 from insemu.variance.filters import FILTERS, fejer_korovkin, modwt_filters
 from tests.budget import binomial, binomial_power, statistical
 from tests.shared_data import shared
+from tests.wavelet_oracles import model_covariance_of_filter
 
 Array = NDArray[np.float64]
 NAMES = ("wn_pow2", "wn", "ar1", "wn_rw", "gm2_wn_100hz", "ar1x2_wn", "qn_wn", "wn_dr", "ar2")
@@ -57,13 +57,6 @@ def test_haar_modwt_and_its_eta3_intervals_equal_the_reference(name: str) -> Non
     np.testing.assert_array_equal(curve.scale_samples, rows[:, 0])
     for mine, theirs in ((curve.value, rows[:, 1]), (curve.low, rows[:, 2]), (curve.high, rows[:, 3])):
         np.testing.assert_allclose(mine, theirs, rtol=1e-10)
-
-
-def test_haar_dwt_equals_the_reference_up_to_its_scaling() -> None:
-    x, rows = fixture("wn_pow2", "wv_haar_dwt")
-    curve = wavelet_variance(x, transform="dwt", intervals="eta3", levels=len(rows))
-    np.testing.assert_allclose(curve.value * curve.scale_samples, rows[:, 1], rtol=1e-10)
-    np.testing.assert_allclose(curve.low * curve.scale_samples, rows[:, 2], rtol=1e-10)
 
 
 def test_a_large_offset_costs_no_digits() -> None:
@@ -331,7 +324,6 @@ def test_normal_intervals_are_offered_only_where_they_hold() -> None:
         ({"x": np.ones(50), "intervals": "eta1"}, "expected one of: edof, eta3, normal"),
         ({"x": np.ones(50), "confidence": 95.0}, "between 0 and 1"),
         ({"x": np.ones(50), "rate_hz": 0.0}, "expected a positive number"),
-        ({"x": np.ones(50), "transform": "cwt"}, "expected one of: modwt, dwt"),
         ({"x": np.ones(5), "filter": "d8"}, "too short"),
         ({"x": np.ones(50), "edof": [1.0]}, "one per scale"),
     ],

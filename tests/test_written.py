@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from insemu.errors import InputError
-from insemu.formats import Way, read_curves, spell, way_of, write_overlay, write_way
+from insemu.formats import Fitted, Way, hand_on, read_curves, way_of, write_overlay, write_way
 from insemu.formats.programs import reduce_models
 from insemu.noise import GM, RC, RW, WN, NoiseModel
 from insemu.records import GnssRecord, Trajectory
+from tests.file_samples import spell
 
 DEG = np.pi / 180.0
 #: 2024-01-31 11:59:42 UTC is second 302400 of GPS week 2299.
@@ -218,7 +219,7 @@ def test_what_programs_cannot_say_is_said() -> None:
     with pytest.raises(InputError, match="holds no axis of a gyroscope or an accelerometer"):
         reduce_models({"mag": GYRO}, 1.0, 1.0)
     with pytest.raises(InputError, match=r"unknown program 'kalbr' \(did you mean 'kalibr'\?\)"):
-        spell({"gyro": GYRO}, "kalbr", rate_hz=1.0)
+        hand_on({"gyro": Fitted(GYRO)}, "kalbr", rate_hz=1.0)
 
 
 @pytest.mark.parametrize(

@@ -191,14 +191,13 @@ def main() -> None:
     found = [c for some in claimed.values() for c in some]
     if found:
         answer += f"; {sum(not c.follows for c in found)} of {len(found)} claims in words contradict their own figures"
-    page.render(
+    page.Page(
         "The five papers, cell by cell",
         [overview, *sections],
-        target,
         kind="python -m benchmarks.papers",
         answer=f"{answer}.",
         lead="Printed tables and figures beside simulations from the printed models.",
-    )
+    ).write(target)
     print(f"{answer}. Page: {target}")
 
 

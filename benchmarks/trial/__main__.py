@@ -43,7 +43,7 @@ def command(
 
     from benchmarks.trial import Kind, Plan, catalogue_of, known_effects, run_trial
     from insemu import units
-    from insemu.cli.printing import bars
+    from insemu.cli.printing import Bars
     from insemu.cluster import cluster as dask_cluster
     from insemu.errors import InputError, nearest
 
@@ -67,7 +67,7 @@ def command(
     plan = Plan(kinds, chosen, hidden, outside, recordings, seed, hours, minutes, hold_out)
     console = Console(stderr=as_json)
     finished: list[Trial] = []
-    with bars(Console(stderr=True)) as progress:
+    with Bars(Console(stderr=True)) as progress:
         bar = progress.add_task("looking", total=recordings)
 
         def done(trial: Trial) -> None:

@@ -15,41 +15,11 @@ import typer.core
 
 from insemu.errors import InputError
 
-#: Command name -> module of this package whose function ``command`` it calls, in the order of ``insemu --help``.
-COMMANDS: dict[str, str] = {
-    "init": "init",
-    "open": "open",
-    "solve": "solve",
-    "export": "export",
-    "run": "run",
-    "merge": "merge",
-    "sweep": "sweep",
-    "require": "require",
-    "compare": "compare",
-    "reproduce": "reproduce",
-    "regress": "regress",
-    "referee": "referee",
-    "designs": "designs",
-    "sensor": "sensor",
-    "characterise": "characterise",
-    "fit": "fit",
-    "fit-runs": "fit_runs",
-    "fit-covariate": "fit_covariate",
-    "fit-regressors": "fit_regressors",
-    "select": "select",
-    "array": "array",
-    "watch": "watch",
-    "emulate": "emulate",
-    "vehicle": "vehicle",
-    "compare-drives": "compare_drives",
-    "errors": "errors",
-    "dead-reckon": "dead_reckon",
-    "gap": "gap",
-    "gap-check": "gap_check",
-    "transfer": "transfer",
-    "serve": "serve",
-    "schema": "schema",
-}
+#: Commands in the order of ``insemu --help``; each is the function ``command`` of the module of its name.
+COMMANDS = (
+    "init open solve export run merge sweep require compare reproduce regress referee designs sensor characterise fit "
+    "fit-runs fit-covariate fit-regressors select array watch emulate vehicle compare-drives errors dead-reckon gap gap-check transfer serve schema"
+).split()
 
 app = typer.Typer(
     name="insemu",
@@ -97,11 +67,10 @@ class _Command(typer.core.TyperCommand):
         return rest
 
 
-for _name, _module in COMMANDS.items():
-    _command = import_module(f"insemu.cli.{_module}").command
-    app.command(_name, short_help=" ".join(_command.__doc__.partition("\n\n")[0].split()), cls=_Command)(
-        _command
-    )  # whole, not cut
+for _name in COMMANDS:
+    _command = import_module(f"insemu.cli.{_name.replace('-', '_')}").command
+    _whole = " ".join(_command.__doc__.partition("\n\n")[0].split())  # typer would cut it
+    app.command(_name, short_help=_whole, cls=_Command)(_command)
 
 
 def main(argv: list[str] | None = None, commands: typer.Typer = app) -> None:

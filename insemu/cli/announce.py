@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rich.console import Console
+
+from insemu.cli.printing import print_text
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from rich.console import Console
-
     from insemu.evaluate import Experiment
     from insemu.intake import Card
 
 
-def announce(file: str | Path, console: Console, *, rate_hz: float | None = None, refuse: bool = True) -> Card:
-    """Make the card of a file, print what is worth knowing, and end where physics contradicts it.
+def announce(file: str | Path, rate_hz: float | None = None, *, refuse: bool = True) -> Card:
+    """Make the card of a file, print on standard error what is worth knowing, and end where physics contradicts it.
 
     Parameters
     ----------
     file : path
-    console : Console
-        Where the card goes; standard error where a command prints data.
     rate_hz : float, optional
         Sampling rate of a log that does not say it, Hz.
     refuse : bool
@@ -39,7 +38,7 @@ def announce(file: str | Path, console: Console, *, rate_hz: float | None = None
     from insemu.intake import card_of
 
     card = card_of(file, rate_hz=rate_hz)
-    show_brief(card, console)
+    show_brief(card, Console(stderr=True))
     return card.check() if refuse else card
 
 
@@ -53,15 +52,15 @@ def announce_world(card: Card | None, console: Console) -> None:
 def announce_warnings(experiments: Iterable[Experiment], console: Console) -> None:
     """Print what looks odd or implausible in experiments, once each."""
     for warning in dict.fromkeys(w for e in experiments for w in e.warnings):
-        console.print(f"Warning: {warning}.", soft_wrap=True, highlight=False, markup=False)
+        print_text(console, f"Warning: {warning}.")
 
 
 def show_brief(card: Card, console: Console) -> None:
     """One line of what was found right, and every finding that is assumed, odd or wrong."""
     right = list(dict.fromkeys(x.topic for x in card.of("ok") if x.topic not in ("taken", "done")))
     said = f"{card.source}: {card.kind}" + (f"; right: {', '.join(right)}" if right else "")
-    console.print(said, soft_wrap=True, highlight=False, markup=False, style="dim")
+    print_text(console, said, style="dim")
     for line in card.lines:
         if line.level != "ok":
             style = "dim" if line.level == "assumed" else "yellow"
-            console.print(f"  {line}", soft_wrap=True, highlight=False, markup=False, style=style)
+            print_text(console, f"  {line}", style=style)

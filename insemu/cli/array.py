@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
+from rich.console import Console
 
+from insemu.cli.logs import hertz
 from insemu.cli.options import argument, option
+from insemu.cli.printing import print_json
+from insemu.errors import InputError, nearest
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from insemu.array import ArrayFit
     from insemu.noise import NoiseModel
     from insemu.records import Series
@@ -44,15 +47,10 @@ def command(
     as_json: bool = option("--json", False),
 ) -> None:
     """Weigh the IMUs of an array: equally, by variance, scale-wise, and for the fewest metres at outage end."""
-    import json
-    from pathlib import Path
-
     import numpy as np
-    from rich.console import Console
 
     from insemu.array import EQUAL, INVERSE, METRES, SCALE_WISE, Flight, weigh
     from insemu.cli.fit import write
-    from insemu.errors import InputError, nearest
     from insemu.formats import write as write_log
     from insemu.scenario import load, located
 
@@ -70,7 +68,7 @@ def command(
         say = status.update if console.is_terminal else lambda text: typer.echo(text, err=True)
         found = weigh(logs, model, flight, plus=beside, say=say, rng=np.random.default_rng(seed))
     if as_json:
-        typer.echo(json.dumps(found.to_json(), indent=1, allow_nan=False))
+        print_json(found.to_json(), allow_nan=False)
     else:
         _tell(found, console)
     if log:
@@ -79,28 +77,22 @@ def command(
     if out:
         write(found.fitted(model, names[take]), out, console)
     if page:
-        from insemu.report import render_array
+        from insemu.report.array import render_array
 
         console.print(f"page: {render_array(found, page, source=' '.join(files))}")
 
 
 def _read(files: list[str], rate: str, skip: str) -> dict[str, dict[str, Series]]:
     """Log at rests by IMU."""
-    from pathlib import Path
-
     from insemu.array import by_unit
     from insemu.cli.announce import announce
     from insemu.cli.logs import read_static
-    from insemu.errors import InputError
-    from insemu.units import parse
 
     if len(files) == 1:
         return by_unit(read_static(files[0], rate, None, skip), files[0])
     out: dict[str, dict[str, Series]] = {}
     for file in files:
-        from rich.console import Console
-
-        announce(file, Console(stderr=True), rate_hz=parse(rate, "Hz") if rate else None)
+        announce(file, hertz(rate))
         name = Path(file).stem
         if name in out:
             name = file
@@ -116,7 +108,6 @@ def _read(files: list[str], rate: str, skip: str) -> dict[str, dict[str, Series]
 def _plus(text: str) -> dict[str, NoiseModel]:
     """What is written together with the fits, by axis."""
     from insemu.covariates import parts_of
-    from insemu.errors import InputError
     from insemu.noise import NoiseModel, axis_unit
     from insemu.records import AXES
 
@@ -136,11 +127,11 @@ def _plus(text: str) -> dict[str, NoiseModel]:
 def _tell(found: ArrayFit, console: Console) -> None:
     """The answer on the terminal: metres of every weighting, weights of the units, pairs that are not independent."""
     from insemu.cli.printing import print_table
-    from insemu.report import array_answer, weight_rows, weighting_rows
+    from insemu.report.array import array_answer, weight_rows, weighting_rows
 
     console.print(array_answer(found), highlight=False, style="bold")
-    print_table(console, "Horizontal error at the ends of the outages", *weighting_rows(found))
-    print_table(console, "Weights for the fewest metres", *weight_rows(found))
+    print_table(console, "Horizontal error at the ends of the outages", *weighting_rows(found), groups=True)
+    print_table(console, "Weights for the fewest metres", *weight_rows(found), groups=True)
     for axis, one, two, p in found.dependent:
         console.print(
             f"[yellow]beware[/yellow]: {axis} of {one} and {two} are not independent (p {p:.1g}); write shared=NAME on the process "

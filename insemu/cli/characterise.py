@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import typer
+from rich.console import Console
 
+from insemu.cli.logs import hertz
 from insemu.cli.options import argument, option
+from insemu.cli.printing import counting, print_json, print_table, print_text
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from insemu.variance import AxisReport
 
 #: False alarms of --same-as, per axis.
@@ -34,21 +34,17 @@ def command(
     import json
     from pathlib import Path
 
-    from rich.console import Console
-
-    from insemu import units
     from insemu.cli.announce import announce
     from insemu.cli.logs import column_names
-    from insemu.cli.printing import counting
     from insemu.formats import read_curves
     from insemu.logs import characterise_log, open_log, related_axes
     from insemu.whole import put
 
     console = Console(stderr=as_json)
-    rate_hz = units.parse(_number_or_text(rate), "Hz") if rate else None
+    rate_hz = hertz(rate)
     wanted = column_names(columns)
     others = read_curves(beside) if beside else []
-    announce(file, Console(stderr=True), rate_hz=rate_hz, refuse=False)
+    announce(file, rate_hz, refuse=False)
     log = open_log(file, rate_hz)
     with counting(Console(stderr=True), "characterising", len(wanted or log.names)) as finished:
         axes = characterise_log(log, wanted, from_robust=robust, wavelet=wavelet, progress=finished)
@@ -60,12 +56,12 @@ def command(
     folder = Path(out) if out else Path("results") / f"characterise_{Path(file).name.split('.')[0]}"
     page = None
     if out or not as_json:
-        from insemu.report import render_characterisation
+        from insemu.report.characterise import render_characterisation
 
         page = render_characterisation(axes, folder, source=file, beside=others, overlay=overlay)
         put(folder / "characterise.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
     if as_json:
-        typer.echo(json.dumps(content, indent=1, allow_nan=False))
+        print_json(content, allow_nan=False)
         return
     show(console, axes)
     for pair in together:
@@ -76,12 +72,10 @@ def command(
         )
     for name, found in compared.items():
         verdict = "another noise model" if found["p_value"] < ALARM else "nothing speaks against one noise model"
-        console.print(
+        print_text(
+            console,
             f"Same as {same_as}: {name}: {verdict} (p {found['p_value']:.2g}); most apart at {found['tau_s']:.3g} s: variance "
             f"{found['ratio']:.3g} times ({found['low']:.3g} to {found['high']:.3g})",
-            highlight=False,
-            markup=False,
-            soft_wrap=True,
         )
     console.print(f"\nPage: [bold]{page}[/bold] (characterise.json and figures next to it)", soft_wrap=True)
 
@@ -106,25 +100,17 @@ def compare(axes: Sequence[AxisReport], others: Sequence[AxisReport]) -> dict[st
     return out
 
 
-def _number_or_text(text: str) -> str | float:
-    try:
-        return float(text)
-    except ValueError:
-        return text
-
-
 def show(console: Console, axes: Sequence[AxisReport]) -> None:
     """Print the answer, the readings and the findings."""
     from rich.markup import escape
 
-    from insemu.cli.printing import print_table
-    from insemu.report import characterise_answer, characterise_rows
+    from insemu.report.characterise import characterise_answer, characterise_rows
     from insemu.variance import duration, grouped_findings
 
     first = axes[0]
     console.print(characterise_answer(axes), style="bold", highlight=False, markup=False)
     title = f"Readings: {len(axes)} column(s), {first.samples} samples at {first.rate_hz:g} Hz ({duration(first.samples / first.rate_hz)})"
-    print_table(console, title, *characterise_rows(axes), left=3, fit=True)
+    print_table(console, title, *characterise_rows(axes), left=3, fit=True, groups=True)
     absent: dict[str, list[str]] = {}
     for axis in axes:
         if axis.not_visible:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import typer
+from rich.console import Console
 
 from insemu.cli.options import argument, option
+from insemu.cli.printing import flying, print_json, print_table
 from insemu.shown import count_of
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from insemu.evaluate import ComparisonRow, Experiment
 
 
@@ -24,7 +23,7 @@ def command(
     by: str = option("--by", "process"),
     realizations: int | None = option("--realizations", None),
     seed: int | None = option("--seed", None),
-    workers: int | None = option("--workers", None),
+    workers: int = option("--workers", None),
     cluster: str = option("--cluster", ""),
     out: str = option("--output", "", "Folder for the page; with --analytic default results/NAME-compare."),
     as_json: bool = option("--json", False),
@@ -34,14 +33,9 @@ def command(
     All designs fly the same data. With --analytic nothing is drawn: rms errors come from the joint covariance of truth and belief, with an error
     budget per outage (how many metres come from each process, initial error and fix) as stacked bars on a page.
     """
-    import json
-    import os
     from pathlib import Path
 
-    from rich.console import Console
-
     from insemu.cli.announce import announce_warnings, announce_world
-    from insemu.cli.printing import flying
     from insemu.cluster import cluster as dask_cluster
     from insemu.errors import InputError, nearest
     from insemu.evaluate import Experiment, compare, effort, run_experiment, with_designs
@@ -63,19 +57,18 @@ def command(
             console, experiment, by, Path(out) if out else Path("results") / f"{Path(scenario).stem}-compare"
         )
     else:
-        many = workers or os.cpu_count() or 1
         told = Console(stderr=True)
-        told.print(f"Ahead: {effort([experiment], many)}.", soft_wrap=True, highlight=False)
+        told.print(f"Ahead: {effort([experiment], workers)}.", soft_wrap=True, highlight=False)
         with (
-            dask_cluster(cluster, many) as pool,
+            dask_cluster(cluster, workers) as pool,
             flying(told, "comparing", experiment.realizations) as progress,
         ):
-            results = run_experiment(experiment, workers=many, executor=pool, progress=progress)
+            results = run_experiment(experiment, workers=workers, executor=pool, progress=progress)
         rows = compare(results, base or None)
         against = base or results.names[0]
         _show(console, rows, results.realizations, against)
         if out:
-            from insemu.report import render_comparison
+            from insemu.report.comparison import render_comparison
 
             page = render_comparison(results, rows, against, out, source=scenario)
             console.print(f"Page: {page}", soft_wrap=True)
@@ -88,16 +81,15 @@ def command(
             "rows": [r.to_dict() for r in rows],
         }
     if as_json:
-        typer.echo(json.dumps(document, indent=1))
+        print_json(document)
 
 
 def _show(console: Console, rows: list[ComparisonRow], realizations: int, base: str) -> None:
-    from insemu.cli.printing import print_table
-    from insemu.report import COLUMNS, comparison_answer, comparison_rows
+    from insemu.report.comparison import COLUMNS, comparison_answer, comparison_rows
 
     console.print(comparison_answer(rows, base), style="bold", highlight=False, markup=False)
     title = f"Planimetric error at outage end, {count_of(realizations, 'realization')}, against {base}"
-    print_table(console, title, *comparison_rows(rows), left=1, fit=True, gap=lambda row: False)
+    print_table(console, title, *comparison_rows(rows), left=1, fit=True)
     console.print(COLUMNS, style="dim", soft_wrap=True)
 
 
@@ -105,7 +97,7 @@ def _analytic(console: Console, experiment: Experiment, by: str, folder: Any) ->
     from rich.table import Table
 
     from insemu.evaluate import analysable, analyse_designs, outage_budgets
-    from insemu.report import render_budgets
+    from insemu.report.budget import render_budgets
 
     analyses = analyse_designs(experiment)
     windows = experiment.world.outage_windows

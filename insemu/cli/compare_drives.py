@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import typer
+from rich.console import Console
 
 from insemu.cli.options import argument, option
+from insemu.cli.printing import print_json
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from insemu.drives import Comparison
 
 
@@ -27,10 +26,6 @@ def command(
     Windows of 4 s of both, six bands of six axes; regimes count alike in both, sensors are made equally noisy by their standstills. What it names
     goes to `insemu vehicle`.
     """
-    import json
-
-    from rich.console import Console
-
     from insemu import formats
     from insemu.drives import compare_drives, top_of, windows_of
 
@@ -42,11 +37,11 @@ def command(
     top = top_of(*both)
     found = compare_drives(*(windows_of(r, top_hz=top) for r in both), seed=seed)
     if page:
-        from insemu.report import render_drives
+        from insemu.report.drives import render_drives
 
         render_drives(found, page, recording, emulated)
     if as_json:
-        typer.echo(json.dumps(found.to_json(), indent=1))
+        print_json(found.to_json())
         return
     _show(console, found)
     if page:
@@ -54,8 +49,8 @@ def command(
 
 
 def _show(console: Console, found: Comparison) -> None:
-    from insemu import report
     from insemu.cli.printing import print_items, print_table
+    from insemu.report import drives as report
 
     console.print(report.drives_answer(found), style="bold", markup=False, soft_wrap=True)
     print_items(console, [t.words for t in found.telling[:3]])
@@ -64,6 +59,6 @@ def _show(console: Console, found: Comparison) -> None:
         ("Bands by regime, emulated over recorded in dB", report.band_rows(found)),
     ):
         if rows:
-            print_table(console, title, header, rows, left=2, fit=True, gap=lambda row: False)
+            print_table(console, title, header, rows, left=2, fit=True)
     console.print()
     print_items(console, list(found.said))

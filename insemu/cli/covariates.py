@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
+from rich.console import Console
+
+from insemu.cli.fit import scales, show, write
+from insemu.cli.logs import hertz
+from insemu.cli.printing import print_json
+from insemu.errors import InputError, nearest
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from pathlib import Path
-
-    from rich.console import Console
-
     from insemu.fit import FitResult
     from insemu.records import Array, Series
 
@@ -63,19 +67,16 @@ class Request:
     @property
     def tau(self) -> tuple[float, float]:
         """Shortest and longest scale to use, s."""
-        from insemu.cli.fit import scales
-
         return scales(self.tau_from, self.tau_to)
 
     def opened(self) -> tuple[list[Series], Mapping[str, Array]]:
         """The axes that are asked for, all where none is, and what else the log has."""
         from insemu import units
         from insemu.cli.logs import column_names
-        from insemu.errors import InputError, nearest
         from insemu.formats import AXIS_OF_COLUMN
         from insemu.logs import open_with_covariates
 
-        rate = units.parse(self.rate, "Hz") if self.rate else None
+        rate = hertz(self.rate)
         series, there = open_with_covariates(self.file, rate, units.parse(self.skip, "s"))
         wanted = column_names(self.columns)
         if wanted is None:
@@ -89,10 +90,7 @@ class Request:
 
     def fitted(self, series: list[Series], fit: Callable[[Series], F]) -> dict[str, F]:
         """Axis to fit, with a bar of progress; an error names its axis."""
-        from rich.console import Console
-
         from insemu.cli.printing import counting
-        from insemu.errors import InputError
 
         results = {}
         with counting(Console(stderr=True), "fitting", len(series)) as finished:
@@ -118,17 +116,10 @@ class Request:
         render : callable
             Writes the page.
         """
-        import json
-
-        import typer
-        from rich.console import Console
-
-        from insemu.cli.fit import show, write
-
         console = Console(stderr=self.as_json)
         if self.as_json:
             plain = {"axes": {axis: f.to_json() for axis, f in results.items()}}
-            typer.echo(json.dumps(plain, indent=1, allow_nan=False))
+            print_json(plain, allow_nan=False)
         else:
             for axis, found in results.items():
                 show(console, {axis: found.result})

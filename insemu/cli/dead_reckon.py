@@ -31,14 +31,14 @@ def command(
     from insemu.prepared import prepared
 
     console = Console(stderr=True)
-    announce(recording, console)
+    announce(recording)
     data, start, said = read_recording(recording), None, tuple[str, ...]()
     if data.reference is None and data.gnss is not None:
         data, start, said = prepared(data).started().alone()
     result = replace(dead_reckon(data, gravity=gravity, start=start), said=said)
     print_items(console, said)
     if out:
-        from insemu.report import render_reckoning
+        from insemu.report.track import render_reckoning
 
         page = render_reckoning(result, out)
     if as_json:

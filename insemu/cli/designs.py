@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from insemu.cli.options import argument, option
+from insemu.cli.printing import plain_table, print_json
 
 if TYPE_CHECKING:
     from insemu.scenario import Design, Scenario
@@ -22,11 +23,8 @@ def command(
     A scenario takes one of them by name (designs: {18AV: 18AV}, or {design: 18AV, options: {gate: 1e-4}} to change a part), and compare and
     regress by --designs.
     """
-    import json
-
     import yaml
     from rich.console import Console
-    from rich.table import Table
 
     from insemu.errors import InputError, nearest
     from insemu.scenario import Design, load, shipped_designs, state_names
@@ -52,7 +50,7 @@ def command(
             }
             for key, found in states.items()
         }
-        typer.echo(json.dumps(rows, indent=1))
+        print_json(rows)
         return
     console = Console()
     if name:
@@ -63,7 +61,7 @@ def command(
         written = chosen[name].model_dump(mode="json", exclude_defaults=True, exclude={"design"})
         typer.echo("\n" + yaml.safe_dump({name: written}, sort_keys=False, default_flow_style=None, width=140))
         return
-    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="underline")
+    table = plain_table()
     for heading in ("design", "states", "gyroscopes", "accelerometers", "besides"):
         table.add_column(heading, justify="right" if heading == "states" else "left", overflow="fold")
     for key, design in chosen.items():

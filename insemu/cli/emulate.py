@@ -33,7 +33,7 @@ def command(
     check_target(out, log=False)
     drawn = [file for file in (figure, page) if file]
     if drawn:
-        from insemu.report import check_figure, draw_track
+        from insemu.report.track import check_figure, draw_track
 
         check_figure(figure, page)
     given = load(scenario, variant=variant, overrides={"seed": seed})

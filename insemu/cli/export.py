@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import typer
 
+from insemu.cli.logs import hertz
 from insemu.cli.options import argument, option
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from insemu.errors import InputError
 
 
 def command(
@@ -43,8 +42,6 @@ def command(
     Noise models in their words; the track of a recording or a solution as TUM, KML, GPX, RTKLIB .pos or CSV; the ways of a run's designs as
     KML; an IMU as binary .imu.
     """
-    from pathlib import Path
-
     target = Path(out)
     if Path(file).suffix.lower() in (".yaml", ".yml"):
         _models(file, target, to, rate, record)
@@ -62,21 +59,19 @@ def command(
 
 def _models(file: str, target: Path, to: str, rate: str, record: str) -> None:
     from insemu import units
-    from insemu.errors import InputError
     from insemu.formats import PROGRAMS, hand_on, read_fitted
     from insemu.whole import put
 
     if not to:
         raise InputError(f"says no program; expected one of: {', '.join(PROGRAMS)}", where="--to")
-    hertz, seconds = (units.parse(given, unit) if given else None for given, unit in ((rate, "Hz"), (record, "s")))
-    text, notes = hand_on(read_fitted(file), to, rate_hz=hertz, record_s=seconds)
+    seconds = units.parse(record, "s") if record else None
+    text, notes = hand_on(read_fitted(file), to, rate_hz=hertz(rate), record_s=seconds)
     put(target, text)
     for note in notes:
         typer.echo(f"beware: {note}", err=True)
 
 
 def _imu(file: str, target: Path, to: str) -> None:
-    from insemu.errors import InputError
     from insemu.formats import IMU_BINARIES, read_imu, write_imu_binary
 
     if not to:
@@ -86,9 +81,7 @@ def _imu(file: str, target: Path, to: str) -> None:
 
 def _track(file: str, target: Path, *, reference: bool, origin: str, outage: list[str]) -> None:
     from dataclasses import replace
-    from pathlib import Path
 
-    from insemu.errors import InputError
     from insemu.formats import open_files, seconds_of_date, way_of, write_way
     from insemu.solve import way_of_solution
     from insemu.stamps import OWN

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, get_args
 
-import typer
+from rich.console import Console
 
+from insemu import units
+from insemu.cli.logs import LEAST, column_names, hertz, read_static
 from insemu.cli.options import DRAWS, argument, option
+from insemu.cli.printing import counting, print_boxed, print_json, print_table, print_text
+from insemu.errors import InputError, nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from rich.console import Console
-
     from insemu.fit import FitResult
     from insemu.noise import NoiseModel
     from insemu.records import Series
@@ -47,7 +49,7 @@ def command(
     pattern: str = option("--pattern", "uniform"),
     bootstrap: int = option("--bootstrap", 0, min=0, max=DRAWS),
     seed: int = option("--seed", 0, "Seed of bootstrap and draws."),
-    workers: int | None = option("--workers", None),
+    workers: int = option("--workers", None),
     cluster: str = option(
         "--cluster", "", "Simulate and refit for --bootstrap on a Dask cluster: local, or tcp://HOST:PORT."
     ),
@@ -60,21 +62,14 @@ def command(
     Several runs of one sensor: insemu fit-runs. Levels that follow a covariate: insemu fit-covariate. With regressors: insemu fit-regressors. A
     model in another program's words: insemu export.
     """
-    import json
-    import os
-
     import numpy as np
-    from rich.console import Console
 
-    from insemu import units
     from insemu.cli.announce import announce
-    from insemu.cli.logs import read_static
-    from insemu.cli.printing import counting
     from insemu.fit import check_bootstrap
 
     if bootstrap:
         check_bootstrap(method, bootstrap)
-    announce(log, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
+    announce(log, hertz(rate))
     options = options_of(method, wavelet, weighting, seed, pattern, scales(tau_from, tau_to))
     pieces = (method == "mli" and pattern == "uniform") or (method == "gmwm" and wavelet == "haar" and not robust)
     streamed = (
@@ -84,34 +79,33 @@ def command(
     )
     series = [] if streamed else read_static(log, rate, columns, skip)
     own = denoising(denoise, method, [s.name for s in series]) if denoise else {}
-    many = workers or os.cpu_count() or 1
     with counting(Console(stderr=True), f"fitting by {method}", len(series)) as finished:
         if streamed:
             results = streamed
         elif pooled:
             results = fit_pooled(series, model, method, start, robust, options)
         else:
-            results = fit_axes(series, model, method, start, robust, options, many, progress=finished, own=own)
+            results = fit_axes(series, model, method, start, robust, options, workers, progress=finished, own=own)
     if bootstrap:
         from insemu.cluster import cluster as dask_cluster
         from insemu.work import run_items
 
         children = np.random.default_rng(seed).spawn(len(results))
         asked = {axis: (r, bootstrap, child) for (axis, r), child in zip(results.items(), children, strict=True)}
-        with dask_cluster(cluster, min(many, len(asked))) as pool:
+        with dask_cluster(cluster, min(workers, len(asked))) as pool:
             results = run_items(asked, bootstrapped, pool=pool)
     console = Console(stderr=as_json)
     if as_json:
-        typer.echo(json.dumps({"axes": {axis: r.to_json() for axis, r in results.items()}}, indent=1, allow_nan=False))
+        print_json({"axes": {axis: r.to_json() for axis, r in results.items()}}, allow_nan=False)
     else:
-        from insemu.report import fits_answer
+        from insemu.report.fit import fits_answer
 
         console.print(fits_answer(results), highlight=False, style="bold")
         show(console, results)
         show_shared(console, results)
     write(results, out, console)
     if page:
-        from insemu.report import render_fits
+        from insemu.report.fit import render_fits
 
         console.print(f"page: {render_fits(results, page, series=series, rng=np.random.default_rng(seed), source=log)}")
 
@@ -119,8 +113,6 @@ def command(
 def scales(tau_from: str, tau_to: str) -> tuple[float, float]:
     """Shortest and longest scale to use, s; all where nothing is given."""
     import math
-
-    from insemu import units
 
     return units.parse(tau_from, "s") if tau_from else 0.0, units.parse(tau_to, "s") if tau_to else math.inf
 
@@ -172,9 +164,7 @@ def fit_streamed(
     """
     from pathlib import Path
 
-    from insemu import formats, units
-    from insemu.cli.logs import LEAST, column_names
-    from insemu.errors import InputError
+    from insemu import formats
     from insemu.fit import LARGE, fit, fit_mli_pieces
     from insemu.logs import LONG
     from insemu.noise import NoiseModel
@@ -182,7 +172,7 @@ def fit_streamed(
 
     if Path(file).suffix not in (".npy", ".npz") or formats.holds_recording(Path(file)):
         return None
-    log = formats.read_log(file, rate_hz=units.parse(rate, "Hz") if rate else None, columns=column_names(columns))
+    log = formats.read_log(file, rate_hz=hertz(rate), columns=column_names(columns))
     first = round(units.parse(skip, "s") * log.rate_hz)
     least = LARGE if method == "mli" else LONG
     if len(log) <= least or not 0 <= first <= len(log) - LEAST or log.gaps():
@@ -244,7 +234,6 @@ def fit_axes(
     """
     from concurrent.futures import ThreadPoolExecutor
 
-    from insemu.errors import InputError
     from insemu.fit import fit
     from insemu.noise import NoiseModel
 
@@ -276,8 +265,6 @@ def fit_axes(
 
 def bootstrapped(item: tuple[FitResult, int, Any]) -> FitResult:
     """A fit with intervals and criterion from simulated signals: (fit, number of signals, generator)."""
-    from dataclasses import replace
-
     from insemu.fit import bootstrap_intervals, wic
 
     result, count, rng = item
@@ -295,10 +282,7 @@ def denoising(text: str, method: str, names: list[str]) -> dict[str, dict[str, A
     names : list of str
         Axes of the log.
     """
-    from typing import get_args
-
     from insemu.denoise import Rule
-    from insemu.errors import InputError, nearest
 
     if method not in ("burg", "autocorrelation"):
         raise InputError(f"de-noising belongs to burg and autocorrelation, not to '{method}'", where="--denoise")
@@ -328,7 +312,6 @@ def _fit_shared(
     options: Mapping[str, Any],
 ) -> dict[str, FitResult]:
     """Axes whose model has shared processes, together."""
-    from insemu.errors import InputError
     from insemu.fit import fit_together
 
     if method != "gmwm" or robust or start or options["wavelet"] != "haar":
@@ -342,7 +325,6 @@ def _fit_shared(
 
 def parsed(model: str, series: list[Series]) -> dict[str, NoiseModel]:
     """The structure by unit of the axes; what is wrong with it is no axis's fault."""
-    from insemu.errors import InputError
     from insemu.noise import NoiseModel
 
     try:
@@ -355,11 +337,8 @@ def fit_pooled(
     series: list[Series], model: str, method: str, start: str, robust: bool, options: Mapping[str, Any]
 ) -> dict[str, FitResult]:
     """One model per unit and rate: the mean of the axes' curves, with as many times the information as there are axes."""
-    from dataclasses import replace
-
     import numpy as np
 
-    from insemu.errors import InputError
     from insemu.fit import cleaned_curve, fit
     from insemu.noise import NoiseModel
     from insemu.variance import wavelet_variance
@@ -396,13 +375,11 @@ def fit_pooled(
 
 def show(console: Console, results: Mapping[str, FitResult]) -> None:
     """One table of all axes, then for each the test of fit and what to beware of."""
-    from insemu.cli.printing import print_table
-
     first = next(iter(results.values()))
     title = f"{first.method}, {first.n_samples} samples at {first.rate_hz:g} Hz"
     heads = ("axis", "parameter", "estimate ± standard error", "95 % interval", "SI and discrete")
     body = [[axis if not k else "", *row] for axis, r in results.items() for k, row in enumerate(r.rows())]
-    print_table(console, title, heads, body, left=5, fit=True)
+    print_table(console, title, heads, body, left=5, fit=True, groups=True)
     for axis, r in results.items():
         said = f"{axis}: {r.structure}: {r.verdict}"
         if r.test is not None:
@@ -412,15 +389,13 @@ def show(console: Console, results: Mapping[str, FitResult]) -> None:
         if "trace" in r.details:
             state = "the stopping rule was met" if r.converged else "not converged"
             said += f"; log-likelihood {-r.objective:.3f} after {len(r.details['trace'])} iterations: {state}"
-        console.print(said, highlight=False, soft_wrap=True, markup=False)
+        print_text(console, said)
         for warning in r.warnings:
             console.print(f"[yellow]beware[/yellow]: {warning}", highlight=False, soft_wrap=True)
 
 
 def show_shared(console: Console, results: Mapping[str, FitResult]) -> None:
     """The mixing vector of every shared process, and the correlation of each pair of axes by scale."""
-    from rich.table import Table
-
     from insemu.noise import shared_processes
 
     for name, members in shared_processes({axis: r.model for axis, r in results.items()}).items():
@@ -428,16 +403,16 @@ def show_shared(console: Console, results: Mapping[str, FitResult]) -> None:
         console.print(f"shared process {name}: {members[0].process.symbol}, seen by {said}", highlight=False)
     pairs = next(iter(results.values())).details.get("cross", {})
     if pairs:
-        table = Table(title="correlation of the axes by scale (95 % interval)", title_justify="left")
-        for heading in ("scale, s", *(f"{a} {b}" for a, b in pairs)):
-            table.add_column(heading)
-        for k, tau in enumerate(next(iter(pairs.values())).tau_s):
-            cells = (
-                f"{c.correlation[k]:.2f} ({c.correlation_low[k]:.2f} … {c.correlation_high[k]:.2f})"
-                for c in pairs.values()
+        curves = list(pairs.values())
+        rows = [
+            (
+                f"{tau:.4g}",
+                *(f"{c.correlation[k]:.2f} ({c.correlation_low[k]:.2f} … {c.correlation_high[k]:.2f})" for c in curves),
             )
-            table.add_row(f"{tau:.4g}", *cells)
-        console.print(table)
+            for k, tau in enumerate(curves[0].tau_s)
+        ]
+        heads = ("scale, s", *(f"{a} {b}" for a, b in pairs))
+        print_boxed(console, "correlation of the axes by scale (95 % interval)", heads, rows)
 
 
 def write(results: Mapping[str, FitResult], out: str, console: Console) -> None:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rich.console import Console
+
 from insemu.cli.options import DRAWS, argument, option
+from insemu.cli.printing import print_boxed
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from insemu.fit import FollowingFit
     from insemu.noise import NoiseModel
     from insemu.records import Series
@@ -37,7 +38,7 @@ def command(
     from insemu.cli.covariates import Request
     from insemu.covariates import checked, needed
     from insemu.fit import fit_following
-    from insemu.report import render_following
+    from insemu.report.following import render_following
 
     request = Request(log, model, rate, skip, columns, tau_from, tau_to, out, page, as_json)
     series, found = request.opened()
@@ -68,16 +69,8 @@ def followed(text: str, unit: str, covariate: str) -> NoiseModel:
 
 def _show(console: Console, axis: str, fitted: FollowingFit) -> None:
     """What every level follows in words, the segments."""
-    from rich.table import Table
-
-    from insemu.report import following_answer, segment_rows
+    from insemu.report.following import following_answer, segment_rows
 
     for line in following_answer(fitted):
         console.print(line, highlight=False)
-    heading, rows = segment_rows(fitted)
-    table = Table(title=f"{axis}: segment by segment", title_justify="left")
-    for cell in heading:
-        table.add_column(cell)
-    for row in rows:
-        table.add_row(*row)
-    console.print(table)
+    print_boxed(console, f"{axis}: segment by segment", *segment_rows(fitted))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rich.console import Console
+
 from insemu.cli.options import argument, option
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from insemu.fit import RegressedFit
     from insemu.records import Series
 
@@ -32,7 +32,7 @@ def command(
     from insemu.errors import InputError
     from insemu.fit import fit_regressed
     from insemu.noise import NoiseModel
-    from insemu.report import render_regressed
+    from insemu.report.regressors import render_regressed
 
     request = Request(log, model, rate, skip, columns, tau_from, tau_to, out, page, as_json)
     series, there = request.opened()
@@ -50,6 +50,8 @@ def command(
 def _show(console: Console, axis: str, found: RegressedFit) -> None:
     """The coefficients as a table."""
     from insemu.cli.printing import print_table
-    from insemu.report import coefficient_rows
+    from insemu.report.regressors import coefficient_rows
 
-    print_table(console, f"{axis}: regressors, {found.explained:.1%} of the variance", *coefficient_rows(found))
+    print_table(
+        console, f"{axis}: regressors, {found.explained:.1%} of the variance", *coefficient_rows(found), groups=True
+    )

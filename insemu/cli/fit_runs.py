@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import typer
+from rich.console import Console
 
+from insemu.cli.logs import hertz
 from insemu.cli.options import DRAWS, argument, option
+from insemu.cli.printing import print_boxed, print_json
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from rich.console import Console
-
     from insemu.fit import Choice, RunsFit
 
 
@@ -30,12 +29,8 @@ def command(
     as_json: bool = option("--json", False),
 ) -> None:
     """Fit one noise model to several runs of a sensor: its spread, and what the next switch-on will show (gmwm)."""
-    import json
-
     import numpy as np
-    from rich.console import Console
 
-    from insemu import units
     from insemu.cli.announce import announce
     from insemu.cli.logs import read_static
     from insemu.cli.printing import staged
@@ -44,7 +39,7 @@ def command(
     from insemu.noise import NoiseModel
 
     for name in logs:
-        announce(name, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
+        announce(name, hertz(rate))
     runs = [read_static(name, rate, columns, skip) for name in logs]
     by_name = [{s.name: s for s in run} for run in runs]
     axes = [s.name for s in runs[0] if all(s.name in run for run in by_name)]
@@ -72,7 +67,7 @@ def command(
             except InputError as error:
                 raise InputError(error.message, where=error.where or axis) from None
     if as_json:
-        typer.echo(json.dumps({"axes": {axis: r.to_json() for axis, r in found.items()}}, indent=1, allow_nan=False))
+        print_json({"axes": {axis: r.to_json() for axis, r in found.items()}}, allow_nan=False)
     for axis, r in found.items() if not as_json else ():
         _show(console, axis, r, choices.get(axis, []))
     if out:
@@ -86,33 +81,24 @@ def command(
 
 def _show(console: Console, axis: str, r: RunsFit, choices: Sequence[Choice]) -> None:
     """One table per axis, then the test."""
-    from rich.table import Table
-
     for c in choices:
         word = "best" if c.behind == 0.0 else "equivalent" if c.equivalent else "worse"
         console.print(
             f"{axis}: {c.model}: distance to runs left out {c.loss:.4g}, behind by {c.behind:.3g} ± {c.error:.2g}: {word}",
             highlight=False,
         )
-    table = Table(title=f"{axis}: {r.joint.structure} over {len(r.each)} runs", title_justify="left")
-    for heading in (
-        "parameter",
-        "median over runs (95 %)",
-        "spread",
-        "next switch-on (95 %)",
-        "its log will show (95 %)",
-    ):
-        table.add_column(heading)
-    for s in r.spreads:
-        spread = f"{100 * s.size:.2g} % (at most {100 * s.size_high:.2g} %)" if s.runs > 1 else "–"
-        table.add_row(
+    heads = ("parameter", "median over runs (95 %)", "spread", "next switch-on (95 %)", "its log will show (95 %)")
+    rows = [
+        (
             s.label,
             f"{s.common:.4g} ({s.low:.4g} … {s.high:.4g})",
-            spread,
+            f"{100 * s.size:.2g} % (at most {100 * s.size_high:.2g} %)" if s.runs > 1 else "–",
             f"{s.next_low:.4g} … {s.next_high:.4g}",
             f"{s.log_low:.4g} … {s.log_high:.4g}",
         )
-    console.print(table)
+        for s in r.spreads
+    ]
+    print_boxed(console, f"{axis}: {r.joint.structure} over {len(r.each)} runs", heads, rows)
     if r.p_value == r.p_value:
         verdict = (
             "the runs differ by more than one set of parameters allows"

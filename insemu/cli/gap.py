@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
+from rich.console import Console
 
+from insemu.cli.logs import hertz
 from insemu.cli.options import argument, option
+from insemu.cli.printing import STAGES, print_table, staged
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from rich.console import Console
-
     from insemu.gap import GapReport, Nominal, StaticLog
     from insemu.records import Recording
 
@@ -40,7 +40,7 @@ def command(
         "--vehicle", "car", "What there is to drive or fly it with: car, multirotor, helicopter, fixed_wing."
     ),
     hold_out: bool = option("--hold-out", True),
-    workers: int | None = option(
+    workers: int = option(
         "--workers",
         None,
         "Processes; a second one scores a drive or flight on held-out fixes. Default the number of cores.",
@@ -48,15 +48,10 @@ def command(
 ) -> None:
     """Find where a recording and a model disagree, name the missing effect, add it and show the gap shrink."""
     import json
-    import os
-    from pathlib import Path
 
     import numpy as np
-    from rich.console import Console
 
-    from insemu import units
     from insemu.cli.announce import announce
-    from insemu.cli.printing import STAGES, staged
     from insemu.effects import EFFECTS
     from insemu.emulate import VEHICLES
     from insemu.errors import InputError, nearest
@@ -77,9 +72,9 @@ def command(
     except ValueError:
         raise InputError(f"'{apply}' is no list of numbers, expected for example '1,3'", where="--apply") from None
     console = Console(stderr=as_json)
-    card = announce(recording, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
+    card = announce(recording, hertz(rate))
     nominal = load_nominal(model)
-    data = found_in(load_measured(recording, rate_hz=units.parse(rate, "Hz") if rate else None), card)
+    data = found_in(load_measured(recording, rate_hz=hertz(rate)), card)
     if "recording" not in nominal.raw:  # a scenario of a recording tells times by the recording's clock
         data = from_its_start(data)
     other = sorted({aid.kind for aid in getattr(data, "aids", ()) if not is_looked_at(aid.kind)})
@@ -89,7 +84,7 @@ def command(
             highlight=False,
             markup=False,
         )
-    with processes(min(workers or os.cpu_count() or 1, 2)) as pool, staged(Console(stderr=True), STAGES) as say:
+    with processes(min(workers, 2)) as pool, staged(Console(stderr=True), STAGES) as say:
         report = find_gap(
             data,
             nominal,
@@ -104,7 +99,7 @@ def command(
     refined = write_refined(nominal, chosen, folder / "refined.yaml", data)
     text = json.dumps(report.to_json(), indent=1, allow_nan=False)
     put(folder / "gap.json", text + "\n")
-    from insemu.report import draw_gap, render_gap
+    from insemu.report.gap import draw_gap, render_gap
 
     page = render_gap(report, folder, refined.read_text(encoding="utf-8"))
     if figure:
@@ -148,8 +143,7 @@ def _tell(report: GapReport, console: Console) -> None:
     """The answer on the terminal: the verdict, at most six findings, what is left, the gap before and after."""
     import math
 
-    from insemu.cli.printing import print_table
-    from insemu.report import (
+    from insemu.report.gap import (
         FIRST_SCREEN,
         burst_said,
         effect_name,
@@ -187,7 +181,7 @@ def _tell(report: GapReport, console: Console) -> None:
                     where,
                 ]
             )
-        print_table(console, "What is missing, most metres first", heads, body, left=2, fit=True, gap=lambda row: False)
+        print_table(console, "What is missing, most metres first", heads, body, left=2, fit=True)
         for n, s in most:
             console.print(f"{n}. {finding_action(s, report.assumed)}", highlight=False, markup=False)
             for v in map(shown_value, s.parameters[:6]):

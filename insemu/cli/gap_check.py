@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import typer
+from rich.console import Console
 
 from insemu.cli.options import DRAWS, argument, option
+from insemu.cli.printing import STAGES, print_items, print_table, staged
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from insemu.gap import Check
 
 
@@ -33,18 +33,16 @@ def command(
     from pathlib import Path
 
     import numpy as np
-    from rich.console import Console
 
     from insemu.cli.announce import announce
-    from insemu.cli.printing import STAGES, staged
     from insemu.errors import InputError
     from insemu.gap import check, find_gap, from_its_start, kept, load_measured, load_nominal
     from insemu.records import Recording
-    from insemu.report import render_check
+    from insemu.report.predictive import render_check
     from insemu.whole import put
 
     console = Console(stderr=as_json)
-    announce(recording, Console(stderr=True))
+    announce(recording)
     models = {"before": load_nominal(before)} if before else {}
     models["after"] = load_nominal(model)
     data = load_measured(recording)
@@ -84,8 +82,6 @@ def _tell(checks: dict[str, Check], console: Console) -> None:
     """The answer on the terminal: what stands out of each model's band, and the metres."""
     import numpy as np
 
-    from insemu.cli.printing import print_items, print_table
-
     for name, c in checks.items():
         o = c.outages
         console.print(
@@ -102,7 +98,7 @@ def _tell(checks: dict[str, Check], console: Console) -> None:
         for s in out[:8]
     ]
     if body:
-        print_table(console, "Outside their band", heads, body, left=2, fit=True, gap=lambda row: False)
+        print_table(console, "Outside their band", heads, body, left=2, fit=True)
     columns = ("outage from, s", "measured, m", *(f"{name}, m" for name in checks))
     rows = []
     for start in sorted({float(x) for c in checks.values() for x in c.outages.starts}):
@@ -113,4 +109,4 @@ def _tell(checks: dict[str, Check], console: Console) -> None:
             [f"{start:.0f}", own, *(f"{o.low[k[0]]:.1f} to {o.high[k[0]]:.1f}" if k.size else "-" for o, k in at)]
         )
     title = "Horizontal error after 60 s without fixes, each filter with its model: measured, and emulated (90 %)"
-    print_table(console, title, columns, rows, left=1, fit=True, gap=lambda row: False)
+    print_table(console, title, columns, rows, left=1, fit=True)

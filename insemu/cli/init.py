@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
+
 import typer
 
 from insemu.cli.options import argument, option
+from insemu.cli.printing import print_json
 
 
 def command(
@@ -19,7 +22,6 @@ def command(
     as_json: bool = option("--json", False),
 ) -> None:
     """Write a commented scenario that runs, or copy one that comes with insemu."""
-    import json
     from pathlib import Path
 
     from insemu.errors import InputError
@@ -58,7 +60,6 @@ def command(
 
 
 def _list(as_json: bool) -> None:
-    import json
 
     from rich.console import Console
 
@@ -70,7 +71,7 @@ def _list(as_json: bool) -> None:
             name: {"question": one.question, "shared_data": one.shared, "files": one.files}
             for name, one in known.items()
         }
-        typer.echo(json.dumps(rows, indent=1))
+        print_json(rows)
         return
     console = Console()
     for name, one in known.items():

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.console import Console
+
+from insemu.cli.printing import print_items, print_json, print_table
+from insemu.errors import InputError
+from insemu.whole import put
+
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from rich.console import Console
-
     from insemu.evaluate import Experiment, Results
 
 
@@ -25,13 +28,8 @@ def preview(experiment: Experiment, realizations: int, folder: Path, console: Co
     as_json : bool
         Print summary.json on standard output instead of a table.
     """
-    import typer
-
-    from insemu.cli.printing import print_items, print_table
-    from insemu.errors import InputError
     from insemu.evaluate import MARKER, LinearTwin, only_writer, previewed
-    from insemu.report import PREVIEWED, preview_notes, preview_rows, render_preview
-    from insemu.whole import put
+    from insemu.report.preview import PREVIEWED, preview_notes, preview_rows, render_preview
 
     if not experiment.world.outage_windows:
         raise InputError("the scenario has no outage at whose end errors could be computed", where="--linear")
@@ -71,9 +69,11 @@ def preview(experiment: Experiment, realizations: int, folder: Path, console: Co
         put(folder / "summary.json", json.dumps(document, indent=1))
         page = render_preview(document, str(experiment.file or ""), folder)
     if as_json:
-        typer.echo(json.dumps(document, indent=1))
+        print_json(document)
         return
-    print_table(console, f"{experiment.scenario.title}, {realizations} linear realizations", *preview_rows(rows))
+    print_table(
+        console, f"{experiment.scenario.title}, {realizations} linear realizations", *preview_rows(rows), groups=True
+    )
     console.print(PREVIEWED, style="dim", soft_wrap=True, highlight=False)
     print_items(console, preview_notes(document))
     console.print(f"\nPage: {page} (summary.json next to it)", soft_wrap=True, highlight=False)
@@ -87,7 +87,6 @@ def check_control(experiment: Experiment, *, until: bool) -> None:
     InputError
         Fewer than three realizations (of a run that adds none), no outage, or no design with a linear twin.
     """
-    from insemu.errors import InputError
     from insemu.evaluate import analysable
 
     if (experiment.realizations < 3 and not until) or not experiment.world.outage_windows:
@@ -113,10 +112,8 @@ def control(
     as_json : bool
         Print no table.
     """
-    from insemu.cli.printing import print_table
     from insemu.evaluate import LinearTwin
     from insemu.evaluate import control as helped
-    from insemu.whole import put
 
     twin = LinearTwin(experiment)
     found = helped(results, twin, twin.draw(realizations, twin.rng))
@@ -137,7 +134,9 @@ def control(
                 f"{c.plain_mean.low:.3g}-{c.plain_mean.high:.3g}", f"{c.quantile.value:.3g}",
                 f"{c.quantile.low:.3g}-{c.quantile.high:.3g}", f"{c.correlation:.3f}", *helped_by,
             ])  # fmt: skip
-    print_table(told, f"{results.realizations} flights helped by {realizations} linear realizations", header, body)
+    print_table(
+        told, f"{results.realizations} flights helped by {realizations} linear realizations", header, body, groups=True
+    )
     told.print(
         "alone: 95 % of the mean of the flights alone. corr.: of full and cheap errors under the same draws; below 0.9 they are refused. saved: how "
         "many times more flights would do the same. by: linear realizations or, where those were refused, filters flown at long steps (coarse).",

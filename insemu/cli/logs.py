@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from insemu import units
 
+if TYPE_CHECKING:
     from insemu.records import Series
 
 #: Fewest samples of a log.
 LEAST = 16
+
+
+def hertz(rate: str) -> float | None:
+    """A rate that an option gives, Hz; None where it gives none."""
+    return units.parse(rate, "Hz") if rate else None
 
 
 def column_names(texts: Sequence[str] | None) -> list[str] | None:
@@ -22,11 +28,10 @@ def read_static(file: str, rate: str, columns: list[str] | None, skip: str = "0 
     """The columns of a static log without its first part."""
     from dataclasses import replace
 
-    from insemu import units
     from insemu.errors import InputError
     from insemu.logs import open_log
 
-    series = open_log(file, units.parse(rate, "Hz") if rate else None, column_names(columns)).series(gaps=True)
+    series = open_log(file, hertz(rate), column_names(columns)).series(gaps=True)
     seconds = units.parse(skip, "s")
     if seconds < 0:
         raise InputError(f"--skip is {skip}, expected a duration that is not negative")

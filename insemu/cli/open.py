@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
+from rich.console import Console
 
 from insemu.cli.options import argument, option
+from insemu.cli.printing import print_json
+from insemu.errors import InputError
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from rich.console import Console
-
     from insemu.formats import Log, Opened
     from insemu.intake import Card
 
@@ -38,12 +38,6 @@ def command(
 
     What contradicts physics is refused (exit code 2) with the command that mends it.
     """
-    import json
-    from pathlib import Path
-
-    from rich.console import Console
-
-    from insemu.errors import InputError
     from insemu.formats import check_target, parse_map, write_preset
     from insemu.intake import take
 
@@ -61,7 +55,7 @@ def command(
     line = ", ".join(part for part in (column_map, f"rate={rate}" if rate else "") if part)
     found, card = take(file, gnss=gnss, truth=truth, maps=(line, gnss_map, truth_map))
     if as_json:
-        typer.echo(json.dumps(card.to_json(), indent=1))
+        print_json(card.to_json())
     else:
         show(console, card)
     card.check()
@@ -90,7 +84,6 @@ def write(found: Opened | Log, target: Path) -> Path:
     import numpy as np
 
     from insemu import formats
-    from insemu.errors import InputError
     from insemu.formats import Log
 
     if isinstance(found, Log):

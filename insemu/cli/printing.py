@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+import json
+import re
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from datetime import timedelta
 from itertools import count
-from typing import TYPE_CHECKING
+from typing import Any
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.progress import Progress
-
+import typer
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
 
 #: Columns that a table keeps on the narrowest terminal.
 LEAST = 3
@@ -22,11 +34,39 @@ STAGES = 14
 EVERY_S, PATIENCE_S = 20.0, 2.0
 
 
-def bars(console: Console) -> Progress:
-    """Bars of progress with the time that has passed and the time left; without a terminal a line every :data:`EVERY_S`."""
-    from insemu.cli.bars import Bars
+class Bars(Progress):
+    """Bars with the time that has passed and the time left; where the console is no terminal a line every :data:`EVERY_S`.
 
-    return Bars(console, EVERY_S)
+    Parameters
+    ----------
+    console : Console
+    """
+
+    def __init__(self, console: Console) -> None:
+        super().__init__(
+            TextColumn("{task.description:<34}", markup=False),
+            BarColumn(bar_width=24),
+            MofNCompleteColumn(),
+            TextColumn("elapsed"),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=console,
+        )
+        self._told = time.monotonic()
+
+    def update(self, task_id: TaskID, **what: Any) -> None:
+        """Update a bar, or say how far it is."""
+        super().update(task_id, **what)
+        now = time.monotonic()
+        if self.console.is_terminal or now - self._told < EVERY_S:
+            return
+        self._told = now
+        task = self.tasks[self.task_ids.index(task_id)]
+        times = {"elapsed": task.elapsed, "left": task.time_remaining}
+        said = [f"{timedelta(seconds=round(t))} {word}" for word, t in times.items() if t is not None]
+        line = f"{task.description}: {task.completed:.0f} of {task.total or 0:.0f}, {', '.join(said)}"
+        self.console.print(line, soft_wrap=True, highlight=False, markup=False)
 
 
 def _lines() -> Callable[[str], None]:
@@ -35,11 +75,6 @@ def _lines() -> Callable[[str], None]:
     Work that is done within :data:`PATIENCE_S` says nothing, and a text that repeats the last one with other numbers waits for
     :data:`EVERY_S`.
     """
-    import re
-    import time
-
-    import typer
-
     began = when = time.monotonic()
     last = ""
 
@@ -56,10 +91,57 @@ def _lines() -> Callable[[str], None]:
 @contextmanager
 def flying(console: Console, label: str, total: int) -> Iterator[Callable[[int, int, str], None]]:
     """One bar for the realizations of an experiment; what it yields is the experiment's ``progress``."""
-    with bars(console) as shown:
+    with Bars(console) as shown:
         task = shown.add_task(label, total=total)
         yield lambda done, of, what: shown.update(task, completed=done, total=of, description=f"{label} ({what})")
         shown.update(task, description=label)
+
+
+def print_text(console: Console, text: str, style: str | None = None) -> None:
+    """Print text as it is: wrapped by the terminal, its numbers and brackets like the rest."""
+    console.print(text, style=style, soft_wrap=True, highlight=False, markup=False)
+
+
+def print_json(document: Any, *, allow_nan: bool = True) -> None:
+    """Print a document as JSON on standard output."""
+    typer.echo(json.dumps(document, indent=1, allow_nan=allow_nan))
+
+
+def plain_table() -> Table:
+    """A table without lines."""
+    return Table(box=None, padding=(0, 1), pad_edge=False, header_style="underline")
+
+
+def print_wide(console: Console, table: Table, least: int) -> None:
+    """Print a table in lines of at least so many characters; a terminal that is narrower wraps them."""
+    width = console.width
+    console.width = max(width, least)
+    console.print(table)
+    console.width = width
+
+
+def print_boxed(
+    console: Console, title: str, header: Sequence[str], body: Sequence[Sequence[str]], left: int = 99, bold: int = -1
+) -> None:
+    """Print a table in a box.
+
+    Parameters
+    ----------
+    console : Console
+    title : str
+    header : sequence of str
+    body : rows
+    left : int
+        Columns that are aligned left.
+    bold : int
+        A row that is printed bold.
+    """
+    table = Table(title=title, title_justify="left")
+    for k, heading in enumerate(header):
+        table.add_column(heading, justify="left" if k < left else "right")
+    for k, row in enumerate(body):
+        table.add_row(*row, style="bold" if k == bold else None)
+    console.print(table)
 
 
 def print_table(
@@ -70,7 +152,7 @@ def print_table(
     *,
     left: int = 2,
     fit: bool = False,
-    gap: Callable[[Sequence[str]], bool] = lambda row: bool(row[0]),
+    groups: bool = False,
 ) -> None:
     """Print a table.
 
@@ -84,27 +166,22 @@ def print_table(
         Columns that are aligned left.
     fit : bool
         Leave out the last columns where the terminal is too narrow for them; otherwise lines are longer than the terminal.
-    gap : callable
-        Whether an empty line stands before a row.
+    groups : bool
+        Whether an empty line stands before every row with a first cell.
     """
-    from rich.table import Table
-
     widths = [max(len(str(row[k])) for row in (header, *body)) for k in range(len(header))]
     shown = len(header)
     while fit and shown > LEAST and sum(widths[:shown]) + 2 * (shown - 1) > console.width:
         shown -= 1
-    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="underline")
+    table = plain_table()
     for k, heading in enumerate(header[:shown]):
         table.add_column(heading, justify="left" if k < left else "right", no_wrap=True)
     for i, row in enumerate(body):
-        if i and gap(row):
+        if i and groups and row[0]:
             table.add_row()
         table.add_row(*row[:shown])
-    console.print(f"\n{title}", soft_wrap=True, highlight=False, markup=False)
-    width = console.width
-    console.width = max(width, sum(widths[:shown]) + 2 * shown)
-    console.print(table)
-    console.width = width
+    print_text(console, f"\n{title}")
+    print_wide(console, table, sum(widths[:shown]) + 2 * shown)
     if shown < len(header):
         missing = ", ".join(header[shown:])
         console.print(f"(a wider terminal shows also: {missing})", style="dim", soft_wrap=True, highlight=False)
@@ -139,7 +216,7 @@ def staged(console: Console, usual: int) -> Iterator[Callable[[str], None]]:
     if not console.is_terminal:
         yield _lines()
         return
-    with bars(console) as shown:
+    with Bars(console) as shown:
         task = shown.add_task("reading", total=usual)
         begun = 0
 
@@ -155,4 +232,4 @@ def staged(console: Console, usual: int) -> Iterator[Callable[[str], None]]:
 def print_items(console: Console, lines: Sequence[str]) -> None:
     """Print lines as a list."""
     for line in lines:
-        console.print(f"- {line}", soft_wrap=True, highlight=False, markup=False)
+        print_text(console, f"- {line}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from insemu.cli.options import argument, option
+from insemu.cli.printing import print_text
 
 
 def command(
@@ -13,7 +14,7 @@ def command(
     realizations: int | None = option("--realizations", None, "Flights of a filter in each world; default 48."),
     seed: int | None = option("--seed", None, "Seed of all random draws; default 1."),
     false_alarm: float = option("--false-alarm", 0.01, "Probability that a right filter is accused of anything."),
-    workers: int | None = option("--workers", None),
+    workers: int = option("--workers", None),
     out: str = option("--output", "", "Folder for page, referee.json and timing.json; default results/referee."),
     as_json: bool = option("--json", False),
 ) -> None:
@@ -23,7 +24,6 @@ def command(
     to the byte for the same seed; what an epoch costs is in timing.json.
     """
     import json
-    import os
     from pathlib import Path
 
     from rich.console import Console
@@ -31,7 +31,7 @@ def command(
     from insemu.cli.printing import print_table
     from insemu.evaluate import only_writer
     from insemu.referee import REALIZATIONS, SEED, referee
-    from insemu.report import referee_answer, render_referee, start_rows, world_rows
+    from insemu.report.referee import referee_answer, render_referee, start_rows, world_rows
     from insemu.whole import put
 
     folder, console, aside = Path(out or "results/referee"), Console(), Console(stderr=True)
@@ -42,7 +42,7 @@ def command(
             realizations=realizations or REALIZATIONS,
             seed=SEED if seed is None else seed,
             false_alarm=false_alarm,
-            workers=workers or os.cpu_count() or 1,
+            workers=workers,
             progress=lambda name, world: status.update(f"{name}: {world}"),
         )
         document = json.dumps([j.to_json() for j in found], indent=1, allow_nan=False)
@@ -53,15 +53,11 @@ def command(
     if as_json:
         typer.echo(document)
     else:
-        console.print(referee_answer(found), style="bold", soft_wrap=True, highlight=False, markup=False)
+        print_text(console, referee_answer(found), style="bold")
         for j in found if len(found) > 1 else ():
-            console.print(f"  {j.verdict}", soft_wrap=True, highlight=False, markup=False)
-        print_table(
-            console, "First inconsistency", *world_rows(found), left=len(found) + 1, fit=True, gap=lambda row: False
-        )
-        print_table(
-            console, "Starts that converge", *start_rows(found), left=len(found) + 1, fit=True, gap=lambda row: False
-        )
+            print_text(console, f"  {j.verdict}")
+        print_table(console, "First inconsistency", *world_rows(found), left=len(found) + 1, fit=True)
+        print_table(console, "Starts that converge", *start_rows(found), left=len(found) + 1, fit=True)
         for name, value in seconds.items():
             console.print(f"{name}: {1e6 * value:.3g} us of CPU an epoch", soft_wrap=True, highlight=False)
         console.print(f"\nPage: {page} (referee.json next to it)", soft_wrap=True, highlight=False)

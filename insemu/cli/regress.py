@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
+from rich.console import Console
 
 from insemu.cli.options import DRAWS, argument, option
+from insemu.cli.printing import print_json
 from insemu.shown import count_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from rich.console import Console
-
     from insemu.evaluate import Baseline, Experiment, Results
     from insemu.require import Requirement
 
@@ -27,7 +27,7 @@ def command(
     designs: str = option("--designs", ""),
     realizations: int | None = option("--realizations", None),
     seed: int | None = option("--seed", None),
-    workers: int | None = option("--workers", None),
+    workers: int = option("--workers", None),
     cluster: str = option("--cluster", "", "record and check: fly on a Dask cluster: local, or tcp://HOST:PORT."),
     false_alarm: float = option("--false-alarm", 0.01, "Probability of reporting designs that did not change."),
     trials: int = option("--trials", 50, min=1, max=DRAWS),
@@ -41,11 +41,6 @@ def command(
     smallest change of every believed parameter that a check finds. trial flies with other draws, and with gyro or GNSS noise believed 20 %
     wrong, and prints how often a change was reported.
     """
-    import os
-    from pathlib import Path
-
-    from rich.console import Console
-
     from insemu.cli.announce import announce_world
     from insemu.cli.printing import flying
     from insemu.cluster import cluster as dask_cluster
@@ -64,7 +59,6 @@ def command(
         raise InputError(f"found with {action}, expected with check", where="--require")
     wanted = [d.strip() for d in designs.split(",") if d.strip()] or (list(held.figures) if held else [])
     console = Console(stderr=as_json)
-    threads = workers or os.cpu_count() or 1
 
     def make(other_seed: int | None = None) -> Experiment:
         given = {"seed": seed if other_seed is None else other_seed, "realizations": realizations}
@@ -76,8 +70,8 @@ def command(
     def fly(label: str) -> Results:
         experiment = make()
         shown = flying(Console(stderr=True), label, experiment.realizations)
-        with dask_cluster(cluster, threads) as pool, shown as progress:
-            return run_experiment(experiment, workers=threads, executor=pool, progress=progress)
+        with dask_cluster(cluster, workers) as pool, shown as progress:
+            return run_experiment(experiment, workers=workers, executor=pool, progress=progress)
 
     if action == "record":
         results = fly("recording")
@@ -91,9 +85,9 @@ def command(
     if action == "check":
         _check(console, fly("checking"), held, false_alarm, required, scenario, baseline, out, as_json)
     elif action == "sensitivity":
-        _sensitivity(console, make(), held, false_alarm, threads, as_json)
+        _sensitivity(console, make(), held, false_alarm, workers, as_json)
     else:
-        _trial(console, make, held, false_alarm, trials, threads, as_json)
+        _trial(console, make, held, false_alarm, trials, workers, as_json)
 
 
 def _check(
@@ -107,18 +101,17 @@ def _check(
     out: str,
     as_json: bool,
 ) -> None:
-    import json
-    from pathlib import Path
 
     from insemu.evaluate import check
-    from insemu.report import regression_answer
+    from insemu.report.comparison import regression_answer
     from insemu.require import guards
 
     changes = check(results, held, false_alarm=false_alarm)
     changed = [c for c in changes if c.significant]
     watched = guards(results, required)
     if out:
-        from insemu.report import integrity_sections, render_regression
+        from insemu.report.comparison import render_regression
+        from insemu.report.integrity import integrity_sections
 
         about = {"baseline": Path(baseline).name, "recorded with digest": held.digest, "now": results.digest}
         console.print(
@@ -127,16 +120,13 @@ def _check(
         )
     if as_json:
         rows = [vars(c) | {"significant": c.significant} for c in changes]
-        typer.echo(
-            json.dumps(
-                {
-                    "digest": results.digest,
-                    "changed": len(changed),
-                    "figures": rows,
-                    "required": [g.to_json() for g in watched],
-                },
-                indent=1,
-            )
+        print_json(
+            {
+                "digest": results.digest,
+                "changed": len(changed),
+                "figures": rows,
+                "required": [g.to_json() for g in watched],
+            }
         )
     console.print(regression_answer(changes, false_alarm), style="bold", highlight=False)
     for c in changed:
@@ -154,7 +144,6 @@ def _check(
 def _sensitivity(
     console: Console, experiment: Experiment, held: Baseline, false_alarm: float, workers: int, as_json: bool
 ) -> None:
-    import json
 
     from insemu.evaluate import smallest_detectable
 
@@ -162,7 +151,7 @@ def _sensitivity(
         d: smallest_detectable(experiment, held, d, false_alarm=false_alarm, workers=workers) for d in held.figures
     }
     if as_json:
-        typer.echo(json.dumps(found, indent=1))
+        print_json(found)
         return
     console.print("Smallest change of what a filter believes that a check with other draws finds (80 % power):")
     for design, parameters in found.items():
@@ -175,7 +164,6 @@ def _sensitivity(
 def _trial(
     console: Console, make: object, held: Baseline, false_alarm: float, trials: int, workers: int, as_json: bool
 ) -> None:
-    import json
 
     from insemu.evaluate import Alteration, trial
 
@@ -188,7 +176,7 @@ def _trial(
     ]
     found = trial(make, held, cases, trials, false_alarm=false_alarm, workers=workers)
     if as_json:
-        typer.echo(json.dumps({"trials": trials, "reported": found}, indent=1))
+        print_json({"trials": trials, "reported": found})
         return
     for name, count in found.items():
         console.print(f"{name}: reported in {count} of {trials} trials")

@@ -5,11 +5,12 @@ from __future__ import annotations
 import typer
 
 from insemu.cli.options import argument, option
+from insemu.cli.printing import print_json, print_text
 
 
 def command(
     folder: str = argument("FOLDER", "Folder of a result of insemu run."),
-    workers: int | None = option("--workers", None),
+    workers: int = option("--workers", None),
     as_json: bool = option("--json", False),
 ) -> None:
     """Run the scenario of a result again and compare every number; nothing is written.
@@ -18,7 +19,6 @@ def command(
     1: what differs is printed.
     """
     import json
-    import os
     from pathlib import Path
 
     import xarray as xr
@@ -50,15 +50,15 @@ def command(
     other = changed({k: manifest.get(k) for k in now}, now)
     console = Console(stderr=True)
     for line in other:
-        console.print(f"other than then: {line}", soft_wrap=True, highlight=False, markup=False)
+        print_text(console, f"other than then: {line}")
     with flying(console, "running again", experiment.realizations) as progress:
-        again = run_experiment(experiment, workers=workers or os.cpu_count() or 1, progress=progress)
+        again = run_experiment(experiment, workers=workers, progress=progress)
     made = {"": again.to_dataset(), "runs": again.runs, "statistics": again.statistics}
     found = [
         f"{group}{': ' * bool(group)}{line}" for group, data in held.items() for line in differences(data, made[group])
     ]
     if as_json:
-        typer.echo(json.dumps({"same": not found, "differences": found, "changed": other}, indent=1))
+        print_json({"same": not found, "differences": found, "changed": other})
     elif found:
         typer.echo("\n".join(found))
     else:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import typer
-
 from insemu.cli.options import argument, option
+from insemu.cli.printing import print_json, print_text
 
 
 def command(
@@ -37,7 +36,7 @@ def command(
 
     from insemu.cli.printing import print_items, print_table
     from insemu.evaluate import only_writer
-    from insemu.report import aid_rows, frontier_rows, place_rows, render_require, require_notes, require_rows
+    from insemu.report.require import aid_rows, frontier_rows, place_rows, render_require, require_notes, require_rows
     from insemu.require import require, wish_of
     from insemu.whole import put
 
@@ -57,18 +56,16 @@ def command(
         put(folder / "require.json", json.dumps(found.to_json(), indent=1, allow_nan=False))
         page = render_require(found, folder / "index.html", source=track)
     if as_json:
-        typer.echo(json.dumps(found.to_json(), indent=1, allow_nan=False))
+        print_json(found.to_json(), allow_nan=False)
         return
     console = Console()
-    console.print(found.text, style="bold", soft_wrap=True, highlight=False, markup=False)
-    print_table(console, "Cards", *require_rows(found), left=2, gap=lambda row: False)
+    print_text(console, found.text, style="bold")
+    print_table(console, "Cards", *require_rows(found), left=2)
     print_items(console, require_notes(found))
-    print_table(console, "Figures that just keep it", *frontier_rows(found), left=3, gap=lambda row: False)
+    print_table(console, "Figures that just keep it", *frontier_rows(found), left=3)
     if len(found.alternatives) > 1:
-        print_table(console, "Aids", *aid_rows(found), left=1, fit=True, gap=lambda row: False)
-    print_table(
-        console, f"Along the track, {found.chosen.sensor.name}", *place_rows(found), left=0, gap=lambda row: False
-    )
+        print_table(console, "Aids", *aid_rows(found), left=1, fit=True)
+    print_table(console, f"Along the track, {found.chosen.sensor.name}", *place_rows(found), left=0)
     console.print(
         f"\nPage: {page} (require.json next to it). Now: insemu run {scenario}", soft_wrap=True, highlight=False
     )

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
+from rich.console import Console
 
+from insemu.cli.linear import check_control, preview
+from insemu.cli.linear import control as controlled
 from insemu.cli.options import LINEAR, argument, option
+from insemu.cli.printing import flying, print_items, print_json, print_table, print_text
+from insemu.errors import InputError
 from insemu.shown import count_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
     from concurrent.futures import Executor
-    from pathlib import Path
-
-    from rich.console import Console
 
     from insemu.evaluate import Experiment, Results, Shard
 
@@ -28,7 +31,7 @@ def command(
     scenario: str = argument("SCENARIO"),
     realizations: int | None = option("--realizations", None, min=1),
     seed: int | None = option("--seed", None),
-    workers: int | None = option("--workers", None),
+    workers: int = option("--workers", None),
     until: str = option("--until", ""),
     linear: int = option(
         "--linear", 0, "Fly nothing: a preview from so many realizations to first order, for example 10000."
@@ -55,16 +58,8 @@ def command(
     Writes summary.json, outages.csv, errors.nc, manifest.json, resolved.yaml, figures, index.html and, last, complete.json. An interrupted
     run continues where it stopped.
     """
-    import os
-    from pathlib import Path
-
-    from rich.console import Console
-
-    from insemu.cli.linear import check_control, preview
-    from insemu.cli.linear import control as controlled
     from insemu.cluster import cluster as dask_cluster
     from insemu.compiled import compiled_beside
-    from insemu.errors import InputError
     from insemu.evaluate import Shard, effort
 
     # progress and warnings go to standard error: a closed pipe behind the tables costs no files
@@ -79,10 +74,9 @@ def command(
     if len(ways) > 1:
         raise InputError(f"{' and '.join(ways)} exclude each other", where="insemu run")
     part = Shard.parse(shard) if shard else None
-    many = workers or os.cpu_count() or 1
     with (
         compiled_beside("insemu.evaluate.kernels", "insemu.filters.kernel.run"),
-        dask_cluster(cluster, many) as pool,
+        dask_cluster(cluster, workers) as pool,
     ):
         experiments = prepared(scenario, overrides, with_variants=variants, console=told)
         if control:
@@ -91,20 +85,20 @@ def command(
             target = folder if out else folder.with_name(f"{folder.name}-linear")
             preview(experiments[""], linear, target, Console(), as_json=as_json)
             return
-        told.print(f"Ahead: {effort(list(experiments.values()), many)}.", soft_wrap=True, highlight=False)
+        told.print(f"Ahead: {effort(list(experiments.values()), workers)}.", soft_wrap=True, highlight=False)
         if part is not None:
             run: dict[str, Any] = {"scenario": str(Path(scenario).resolve()) if Path(scenario).exists() else scenario}
             run |= {"overrides": overrides, "variants": variants, "digest": experiments[""].digest}
-            fly_shard(experiments, folder, part, run, (many, pool), told)
+            fly_shard(experiments, folder, part, run, (workers, pool), told)
             return
         if until:
-            fly_until(experiments, until, folder, (many, pool), told)
+            fly_until(experiments, until, folder, (workers, pool), told)
 
         def help_figures(found: Results) -> None:
             controlled(experiments[""], found, control, folder, Console(stderr=as_json), as_json=as_json)
 
         results, failed = run_all(
-            experiments, folder, (many, pool), told, overwrite=overwrite, pictures=pictures,
+            experiments, folder, (workers, pool), told, overwrite=overwrite, pictures=pictures,
             also=help_figures if control else None,
         )  # fmt: skip
     say_all(results, failed, folder, as_json=as_json)
@@ -120,15 +114,11 @@ def say_all(results: dict[str, Results], failed: list[str], folder: Path, *, as_
     folder : path
     as_json : bool
     """
-    import json
-
-    from rich.console import Console
-
     from insemu.evaluate import summary
 
     main = results.pop("")
     if as_json:
-        typer.echo(json.dumps(summary(main), indent=1))
+        print_json(summary(main))
     else:
         console = Console()
         show(console, main, results)
@@ -158,7 +148,6 @@ def fly_until(
         Threads, or a pool instead.
     console : Console
     """
-    from insemu.errors import InputError
     from insemu.evaluate import CACHE, Goal, looks, only_writer, run_experiment
 
     workers, pool = means
@@ -173,10 +162,11 @@ def fly_until(
                     experiment, realizations=count, workers=workers, executor=pool, cache=folder / CACHE, progress=step, say=say
                 )  # fmt: skip
             seen = goal.look(results, number)
-            console.print(
-                f"{count_of(seen.realizations, 'realization')}: {text.partition(' within ')[0]} {seen.value:.4g} ({seen.low:.4g} to {seen.high:.4g})",
-                soft_wrap=True, highlight=False, markup=False,
-            )  # fmt: skip
+            asked = text.partition(" within ")[0]
+            print_text(
+                console,
+                f"{count_of(seen.realizations, 'realization')}: {asked} {seen.value:.4g} ({seen.low:.4g} to {seen.high:.4g})",
+            )
             if seen.reached:
                 break
         else:
@@ -269,7 +259,7 @@ def run_all(
         What could not be made, in words.
     """
     from insemu.evaluate import CACHE, check_not_fewer, finish, only_writer, resolved, write, write_summary
-    from insemu.report import render_experiment
+    from insemu.report.experiment import render_experiment
     from insemu.whole import put
 
     main = experiments[""].scenario
@@ -282,7 +272,7 @@ def run_all(
             return make()
         except Exception as error:
             failed.append(f"{what}: {error}")
-            console.print(f"Failed: {what}: {error}", soft_wrap=True, highlight=False, markup=False, style="red")
+            print_text(console, f"Failed: {what}: {error}", style="red")
             return otherwise
 
     with only_writer(folder):
@@ -320,10 +310,9 @@ def bar(console: Console, label: str, total: int) -> Iterator[tuple[Any, Any]]:
     label : str
     total : int
     """
-    from insemu.cli.printing import flying
 
     def say(text: str) -> None:
-        console.print(f"Warning: {text}.", soft_wrap=True, highlight=False, markup=False)
+        print_text(console, f"Warning: {text}.")
 
     try:
         with flying(console, label, total) as step:
@@ -350,7 +339,7 @@ def flown(
     def preview(first: Results) -> None:
         if (said := answer(first)) is not None:
             text = f"After {count_of(first.realizations, 'realization')} and {first.timing['wall_seconds']:.0f} s of flying: {said.sentence}"
-            console.print(text, soft_wrap=True, highlight=False, markup=False)
+            print_text(console, text)
 
     workers, pool = means
     for name, experiment in experiments.items():
@@ -394,9 +383,9 @@ def forget_others(cache: Path, digests: set[str]) -> None:
 
 def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     """The tables at the end."""
-    from insemu import report
-    from insemu.cli.printing import print_items, print_table
     from insemu.evaluate import answer, verdicts
+    from insemu.report import tables as report
+    from insemu.report.budget import budget_lines
 
     console.print(f"\n{main.title}", soft_wrap=True, markup=False)
     said = answer(main)
@@ -405,7 +394,7 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     title = (
         f"{report.variant_caption(main)}: means over {count_of(main.realizations, 'realization')} (seed {main.seed})"
     )
-    print_table(console, title, *report.short_headline(main), fit=True)
+    print_table(console, title, *report.short_headline(main), fit=True, groups=True)
     console.print(
         "(states). verdict: of the NEES at outage end. error: planimetric. stated: the filter's own horizontal sigma at outage end, m. in 3 s: "
         "position errors inside 3 sigma during the outage. NEES: per degree of freedom, 1 is a filter that knows its error. alt.: altitude at "
@@ -414,19 +403,19 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
     )
     print_items(console, [*verdicts(main), *report.consistency_lines(main)])
     if main.smoothed and main.outages:
-        print_table(console, report.SMOOTHED, *report.smoother_rows(main))
+        print_table(console, report.SMOOTHED, *report.smoother_rows(main), groups=True)
     if main.budgets:
         console.print("\nWhere the metres come from, by covariance analysis (parts add up as squares):")
-        print_items(console, report.budget_lines(main.budgets))
+        print_items(console, budget_lines(main.budgets))
     if variants:
         header, body = report.variant_rows(main, variants)
         shown = [
             k for k, heading in enumerate(header) if heading not in ("95 %", "inside %")
         ]  # the page has room for them
         kept = [[row[k] for k in shown] for row in body]
-        print_table(console, f"Variants. {report.variant_caption(main)}", [header[k] for k in shown], kept)
+        print_table(console, f"Variants. {report.variant_caption(main)}", [header[k] for k in shown], kept, groups=True)
     for label, results in report.shown_beside(main, variants):
         for figure in results.published:
-            print_table(console, f"{label}: {report.FIGURES[figure]}, m", *report.beside(results, figure))
+            print_table(console, f"{label}: {report.FIGURES[figure]}, m", *report.beside(results, figure), groups=True)
         print_items(console, report.rank_lines(results))
     print_items(console, report.pooled_rank_line(main, variants))

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-import typer
+from rich.console import Console
 
+from insemu.cli.fit import show as show_fit
+from insemu.cli.fit import write
+from insemu.cli.logs import hertz
 from insemu.cli.options import DRAWS, argument, option
+from insemu.cli.printing import counting, print_boxed, print_json, print_table
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from rich.console import Console
-
     from insemu.fit import FitResult, Ranking
     from insemu.variance import WaveletVariance
 
@@ -30,7 +32,7 @@ def command(
     skip: str = option("--skip", "0 s"),
     detail: bool = option("--detail", False),
     rows: int = option("--rows", 8, min=1, max=DRAWS),
-    workers: int | None = option("--workers", None),
+    workers: int = option("--workers", None),
     cluster: str = option("--cluster", ""),
     seed: int = option("--seed", 0, "Seed of the draws on the page."),
     out: str = option("--output", "", "Write the chosen models as YAML that a scenario reads."),
@@ -38,33 +40,25 @@ def command(
     as_json: bool = option("--json", False),
 ) -> None:
     """Choose a noise model for every axis among all models nested in a general one."""
-    import json
-    import os
-
     import numpy as np
-    from rich.console import Console
 
-    from insemu import units
     from insemu.cli.announce import announce
-    from insemu.cli.fit import write
     from insemu.cli.logs import read_static
-    from insemu.cli.printing import counting
     from insemu.cluster import cluster as dask_cluster
     from insemu.fit import select_axes
     from insemu.noise import NoiseModel
 
-    announce(file, Console(stderr=True), rate_hz=units.parse(rate, "Hz") if rate else None)
+    announce(file, hertz(rate))
     series = read_static(file, rate, columns, skip)
     given = [NoiseModel.parse(c) for c in candidates] if candidates else None
     told = Console(stderr=True)
-    many = workers or os.cpu_count() or 1
-    with dask_cluster(cluster, many) as pool, counting(told, "choosing", len(series)) as finished:
+    with dask_cluster(cluster, workers) as pool, counting(told, "choosing", len(series)) as finished:
         rankings = select_axes(
             series,
             NoiseModel.parse(general),
             candidates=given,
             robust=robust,
-            workers=many,
+            workers=workers,
             pool=pool,
             progress=finished,
         )
@@ -78,9 +72,7 @@ def command(
                 checks[s.name][other] = prediction(rankings[s.name], wavelet_variance(s.values, s.rate_hz, gaps=s.gaps))
     results = {axis: r.fit for axis, r in rankings.items()}
     if as_json:
-        typer.echo(
-            json.dumps({"axes": {a: as_plain(r, checks[a]) for a, r in rankings.items()}}, indent=1, allow_nan=False)
-        )
+        print_json({"axes": {a: as_plain(r, checks[a]) for a, r in rankings.items()}}, allow_nan=False)
     else:
         show_axes(console, results)
         for axis, ranking in rankings.items():
@@ -90,7 +82,7 @@ def command(
                 show_prediction(console, axis, other, found)
     write(results, out, console)
     if page:
-        from insemu.report import render_fits
+        from insemu.report.fit import render_fits
 
         rng = np.random.default_rng(seed)
         written = render_fits(results, page, series=series, rankings=rankings, rng=rng, source=file)
@@ -128,22 +120,13 @@ def prediction(ranking: Ranking, curve: WaveletVariance) -> dict[str, Any]:
 
 def show_prediction(console: Console, axis: str, other: str, found: dict[str, Any]) -> None:
     """One row per scale."""
-    from rich.table import Table
-
-    table = Table(title=f"{axis}: predicted for {other}", title_justify="left")
-    for heading in ("scale (s)", "measured (deviation)", "predicted", "measured / predicted", "in standard deviations"):
-        table.add_column(heading, justify="right")
-    for tau, measured, predicted, z in zip(
-        found["tau_s"], found["measured"], found["predicted"], found["standard_deviations"], strict=True
-    ):
-        table.add_row(
-            f"{tau:g}",
-            f"{measured**0.5:.4g}",
-            f"{predicted**0.5:.4g}",
-            f"{(measured / predicted) ** 0.5:.3f}",
-            f"{z:+.1f}",
-        )
-    console.print(table)
+    heads = ("scale (s)", "measured (deviation)", "predicted", "measured / predicted", "in standard deviations")
+    columns = (found[key] for key in ("tau_s", "measured", "predicted", "standard_deviations"))
+    rows = [
+        (f"{tau:g}", f"{m**0.5:.4g}", f"{p**0.5:.4g}", f"{(m / p) ** 0.5:.3f}", f"{z:+.1f}")
+        for tau, m, p, z in zip(*columns, strict=True)
+    ]
+    print_boxed(console, f"{axis}: predicted for {other}", heads, rows, left=0)
     ratio = found["deviation_ratio"]
     console.print(
         f"measured over predicted deviation up to {ratio['longest_tau_s']:g} s: {ratio['lowest']:.2f} to {ratio['highest']:.2f}, "
@@ -159,40 +142,22 @@ def show_prediction(console: Console, axis: str, other: str, found: dict[str, An
 
 def show_axes(console: Console, results: Mapping[str, FitResult]) -> None:
     """The answer: a sentence, then one row per axis."""
-    from insemu.cli.printing import print_table
-    from insemu.report import fits_answer
+    from insemu.report.fit import fits_answer
 
     console.print(fits_answer(results), highlight=False, style="bold")
     body = [[axis, r.verdict, str(r.structure)] for axis, r in results.items()]
-    print_table(console, "Chosen models", ("axis", "verdict", "model"), body, left=3, gap=lambda row: False)
+    print_table(console, "Chosen models", ("axis", "verdict", "model"), body, left=3)
     for axis, r in results.items():
         console.print(f"{axis}: {r.words}", highlight=False, soft_wrap=True)
 
 
 def show(console: Console, ranking: Ranking, rows: int) -> None:
     """The best candidates and the verdict, then the chosen fit."""
-    import math
+    from insemu.report.fit import ranking_rows
 
-    from rich.table import Table
-
-    from insemu.cli.fit import show as show_fit
-
-    table = Table(title=f"{ranking.name}: {len(ranking.candidates)} candidates", title_justify="left")
-    for heading in ("model", "parameters", "criterion ± standard error", "distance", "p of the test of fit"):
-        table.add_column(heading, justify="left" if heading == "model" else "right")
-    listed = [c for c in ranking.candidates if not c.vanished][:rows]
-    if ranking.chosen not in listed:
-        listed.append(ranking.chosen)
-    for c in listed:
-        table.add_row(
-            str(c.structure),
-            str(c.parameters),
-            f"{c.criterion.value:.1f} ± {c.criterion.standard_error:.1f}",
-            f"{c.objective:.1f}",
-            f"{c.p_value:.2g}" if math.isfinite(c.p_value) else "–",
-            style="bold" if c is ranking.chosen else None,
-        )
-    console.print(table)
+    header, body, chosen = ranking_rows(ranking, rows, unknown="–")
+    title = f"{ranking.name}: {len(ranking.candidates)} candidates"
+    print_boxed(console, title, header, body, left=1, bold=chosen)
     vanished = sum(c.vanished for c in ranking.candidates)
     if vanished:
         console.print(
@@ -204,8 +169,6 @@ def show(console: Console, ranking: Ranking, rows: int) -> None:
 
 def as_plain(ranking: Ranking, checks: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """For JSON: the chosen fit in the form of ``insemu fit``, the candidates, and the predictions."""
-    import math
-
     out = ranking.fit.to_json()
     out["verdict"] = ranking.verdict
     out["discrepancy"] = ranking.discrepancy

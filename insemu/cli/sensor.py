@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import typer
+from rich.console import Console
 
+from insemu import units
 from insemu.cli.options import argument, option
+from insemu.cli.printing import plain_table, print_json, print_text, print_wide
 
 if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
-
     from insemu.sensors import Assumptions, AxisModel, Card, Figure
 
 
@@ -32,11 +31,6 @@ def command(
     Without an argument it lists the sensors that come with insemu. A scenario takes a sensor by name (truth: {sensor: ADIS16470}) or the file
     that --output writes.
     """
-    import json
-
-    from rich.console import Console
-
-    from insemu import units
     from insemu.noise import axis_unit
     from insemu.sensors import Assumptions, axis_models, save, spelled
 
@@ -48,14 +42,14 @@ def command(
     card = _card(name)
     chosen = save(card, out, case, assumed) if out else axis_models(card, case, assumed)
     if as_json:
-        typer.echo(json.dumps(_plain(card, chosen), indent=1))
+        print_json(_plain(card, chosen))
         return
     _show(console, card, assumed)
     for axes, one in _groups(chosen):
         text = spelled(one.model, axis_unit(axes.split(",")[0]))
         console.print(f"\n[bold]{axes}[/bold]: {text}", soft_wrap=True, highlight=False)
         for line in one.said:
-            console.print(f"- {line}", soft_wrap=True, highlight=False, markup=False)
+            print_text(console, f"- {line}")
     if out:
         console.print(f"\n{case} models written to {out}", soft_wrap=True, highlight=False)
 
@@ -76,25 +70,20 @@ def _card(name: str) -> Card:
 
 
 def _list(console: Console, as_json: bool) -> None:
-    import json
-
-    from rich.table import Table
 
     from insemu.sensors import card, names
 
     if as_json:
-        typer.echo(
-            json.dumps({name: {"maker": card(name).maker, "about": card(name).about} for name in names()}, indent=1)
-        )
+        print_json({name: {"maker": card(name).maker, "about": card(name).about} for name in names()})
         return
     cards = [card(name) for name in names()]
-    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="underline")
+    table = plain_table()
     for heading in ("sensor", "gyro white", "gyro bias", "accel white", "accel bias"):
         table.add_column(heading, no_wrap=True)
     for one in cards:
         cells = [_first(one.of_axis(f"{s}_x"), k) for s in ("gyro", "accel") for k in (_WHITE, _BIAS)]
         table.add_row(one.name, *cells)
-    _wide(console, table)
+    print_wide(console, table, console.measure(table, options=console.options.update(width=500)).maximum)
     for one in cards:
         console.print(f"{one.name}: {one.about} ({one.maker}).", soft_wrap=True, style="dim", highlight=False)
     console.print(f"{len(cards)} cards", highlight=False)
@@ -103,29 +92,18 @@ def _list(console: Console, as_json: bool) -> None:
 _WHITE, _BIAS = ("random_walk", "noise_density"), ("bias_coefficient", "bias_sigma", "bias_stability")
 
 
-def _wide(console: Console, table: Table) -> None:
-    """Print a table wider than the terminal rather than cut."""
-    width = console.width
-    console.width = max(width, console.measure(table, options=console.options.update(width=500)).maximum)
-    console.print(table)
-    console.width = width
-
-
 def _first(figures: dict[str, Figure], kinds: tuple[str, ...]) -> str:
     return next((figures[kind].text for kind in kinds if kind in figures), "-")
 
 
 def _show(console: Console, card: Card, assumed: Assumptions) -> None:
     """The card: its figures with their sources."""
-    from rich.table import Table
-
-    from insemu import units
     from insemu.sensors import KINDS
 
     console.print(
         f"[bold]{card.name}[/bold]" + "".join(f", {t}" for t in (card.maker, card.about) if t), soft_wrap=True
     )
-    table = Table(box=None, padding=(0, 1), pad_edge=False, header_style="underline")
+    table = plain_table()
     for heading in ("", "figure", "printed", "typical", "worst"):
         table.add_column(heading, no_wrap=True)
     for section, figures in card.figures.items():
@@ -137,7 +115,7 @@ def _show(console: Console, card: Card, assumed: Assumptions) -> None:
                 shown[1] = shown[0]
             mark = "" if figure.worst is not None or kind == "correlation_time" else " assumed"
             table.add_row(section if not k else "", kind.replace("_", " "), figure.text, shown[0], shown[1] + mark)
-    _wide(console, table)
+    print_wide(console, table, console.measure(table, options=console.options.update(width=500)).maximum)
     for label, source in card.sources.items():
         of = [
             f"{section} {kind.replace('_', ' ')}{figure.source.removeprefix(label)}"
@@ -147,7 +125,7 @@ def _show(console: Console, card: Card, assumed: Assumptions) -> None:
         ]
         parts = [source[key] for key in ("title", "revision", "url") if source.get(key)]
         text = f"{source.get('kind', 'source').capitalize()} of {'; '.join(of)}: {', '.join(parts)}"
-        console.print(text, soft_wrap=True, highlight=False, style="dim", markup=False)
+        print_text(console, text, style="dim")
 
 
 def _groups(models: dict[str, AxisModel]) -> list[tuple[str, AxisModel]]:

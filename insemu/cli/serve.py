@@ -18,7 +18,7 @@ def command(
     """
     import webbrowser
 
-    from insemu.report import server
+    from insemu.report.serve import server
 
     with server(folder, port) as running:
         address = f"http://{running.server_address[0]!s}:{running.server_address[1]}/"

@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import typer
+from rich.console import Console
 
+from insemu import units
+from insemu.cli.logs import hertz
 from insemu.cli.options import argument, option
+from insemu.cli.printing import print_items, print_json, print_table, staged
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from insemu.solve import Comparison, Solution
 
 
@@ -27,7 +29,7 @@ def command(
     trajectory_rate: str = option("--trajectory-rate", ""),
     out: str = option("--output", "", "Folder for the results; default results/solve_NAME."),
     requirements: list[str] = option("--require", []),
-    workers: int | None = option("--workers", None),
+    workers: int = option("--workers", None),
     as_json: bool = option("--json", False),
 ) -> None:
     """Solve a recording: trajectory with standard deviations, calibration, and what 10, 30 and 60 s without GNSS cost.
@@ -36,18 +38,15 @@ def command(
     against the fixes that were there. Nothing but the recording is needed.
     """
     import json
-    import os
     from pathlib import Path
 
     import numpy as np
-    from rich.console import Console
 
-    from insemu import units
     from insemu.cli.announce import show_brief
-    from insemu.cli.printing import staged
     from insemu.evaluate import only_writer
     from insemu.intake import recording_of, take
-    from insemu.report import integrity_sections, render_solution
+    from insemu.report.integrity import integrity_sections
+    from insemu.report.solve import render_solution
     from insemu.require import asked, recorded_guard
     from insemu.solve import candidates, compare_with, solve, summary, write
     from insemu.whole import put
@@ -60,7 +59,6 @@ def command(
     found, card = take(file, gnss=gnss, maps=(column_map, gnss_map, ""))
     show_brief(card, console)
     card.check()
-    threads = workers or os.cpu_count() or 1
     # start, clock and noise, the design that the innovations ask for, two with calibration states, outages
     with staged(told, len(beliefs) + 6) as say:
         solution = solve(
@@ -68,11 +66,11 @@ def command(
             card,
             beliefs,
             lever_arm=arm,
-            rate=units.parse(trajectory_rate, "Hz") if trajectory_rate else None,
-            workers=threads,
+            rate=hertz(trajectory_rate),
+            workers=workers,
             say=say,
         )
-        compared = compare_with(solution, against, workers=threads) if against else None
+        compared = compare_with(solution, against, workers=workers) if against else None
     o = solution.taken.outages
     stated = o.covariance + o.fix_variance[..., None] * np.eye(2)  # errors are against fixes
     watched = [recorded_guard(r, o.start, o.horizons, o.error, stated) for r in required]
@@ -83,7 +81,7 @@ def command(
         page = render_solution(solution, folder, compared, Path(against).name, integrity_sections(watched))
         put(folder / "summary.json", json.dumps(plain, indent=1))
     if as_json:
-        typer.echo(json.dumps(plain, indent=1))
+        print_json(plain)
     else:
         _show(console, solution, compared, Path(against).name)
         for g in watched:
@@ -97,7 +95,6 @@ def command(
 
 
 def _lever_arm(text: str) -> tuple[float, float, float] | None:
-    from insemu import units
     from insemu.errors import InputError
 
     if not text:
@@ -115,8 +112,7 @@ def _lever_arm(text: str) -> tuple[float, float, float] | None:
 
 def _show(console: Console, s: Solution, compared: Comparison | None, scenario: str) -> None:
     """The answer, the score, the designs, what was found."""
-    from insemu import report
-    from insemu.cli.printing import print_items, print_table
+    from insemu.report import solve as report
 
     console.print(f"\n{report.solve_answer(s)}", markup=False, style="bold")
     print_table(
@@ -125,27 +121,16 @@ def _show(console: Console, s: Solution, compared: Comparison | None, scenario: 
         *report.outage_rows_of(s.taken.outages),
         left=1,
         fit=True,
-        gap=lambda row: False,
     )
     print_table(
-        console,
-        "Designs, the best first (outages five seconds apart)",
-        *report.solve_rows(s.tried),
-        left=1,
-        fit=True,
-        gap=lambda row: False,
+        console, "Designs, the best first (outages five seconds apart)", *report.solve_rows(s.tried), left=1, fit=True
     )
     if s.taken.candidate.about:
         console.print(f"{s.taken.candidate.name}: {s.taken.candidate.about}", soft_wrap=True, markup=False, style="dim")
     if compared is not None:
         count = compared.solved.start.size
         print_table(
-            console,
-            f"Against {scenario}, the same {count} outages",
-            *report.compared_rows(compared),
-            left=1,
-            fit=True,
-            gap=lambda row: False,
+            console, f"Against {scenario}, the same {count} outages", *report.compared_rows(compared), left=1, fit=True
         )
     console.print()
     print_items(console, [*s.drive.said, *report.calibration_lines(s), *report.consistency_words_of(s)])

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
+from rich.console import Console
 
 from insemu.cli.options import argument, option
+from insemu.cli.printing import Bars, print_json, print_table, print_text
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
     from insemu.evaluate import Row, Sweep
 
 
@@ -27,7 +27,7 @@ def command(
     linear: int = option("--linear", 0, "Fly nothing: so many realizations to first order at each point."),
     realizations: int | None = option("--realizations", None, "At each point; default the scenario's."),
     seed: int | None = option("--seed", None, "The same at every point; default the scenario's."),
-    workers: int | None = option("--workers", None),
+    workers: int = option("--workers", None),
     cluster: str = option("--cluster", ""),
     out: str = option("--output", "", "Folder for results; default results/NAME-sweep."),
     as_json: bool = option("--json", False),
@@ -39,28 +39,23 @@ def command(
     command goes on from there.
     """
     import json
-    import os
-    from pathlib import Path
-
-    from rich.console import Console
 
     from insemu.cluster import cluster as dask_cluster
     from insemu.compiled import compiled_beside
     from insemu.evaluate import CACHE, Sweep, only_writer
-    from insemu.report import render_sweep
+    from insemu.report.sweep import render_sweep
     from insemu.whole import put
 
     told = Console(stderr=True)
     folder = Path(out) if out else Path("results") / f"{Path(scenario).stem}-sweep"
-    many = workers or os.cpu_count() or 1
     sweep = Sweep.of(scenario, over, latin=latin, linear=linear, overrides={"seed": seed, "realizations": realizations})
     told.print(f"{len(sweep.points)} points of {', '.join(f.key for f in sweep.given)}.", highlight=False, markup=False)
     with (
         compiled_beside("insemu.evaluate.kernels", "insemu.filters.kernel.run"),
         only_writer(folder),
-        dask_cluster(cluster, many) as pool,
+        dask_cluster(cluster, workers) as pool,
     ):
-        rows = _rows(sweep, folder / CACHE, {"workers": many, "executor": pool})
+        rows = _rows(sweep, folder / CACHE, {"workers": workers, "executor": pool})
         document = {
             "scenario": sweep.scenario.title,
             "over": over,
@@ -74,21 +69,18 @@ def command(
         put(folder / "sweep.csv", _csv(rows))
         page = render_sweep(sweep, rows, folder)
     if as_json:
-        typer.echo(json.dumps(document, indent=1))
+        print_json(document)
     else:
         _show(Console(), sweep, rows, page)
 
 
 def _rows(sweep: Sweep, cache: Path, means: dict[str, Any]) -> list[Row]:
     """All rows, with a bar for the points and what each is at."""
-    from rich.console import Console
-
-    from insemu.cli.printing import bars
     from insemu.errors import InputError
 
     told = Console(stderr=True)
     rows: list[Row] = []
-    with bars(told) as shown:
+    with Bars(told) as shown:
         task = shown.add_task("points", total=len(sweep.points))
 
         def progress(done: int, total: int) -> Any:
@@ -99,7 +91,7 @@ def _rows(sweep: Sweep, cache: Path, means: dict[str, Any]) -> list[Row]:
             return step
 
         def say(text: str) -> None:
-            told.print(f"Warning: {text}.", soft_wrap=True, highlight=False, markup=False)
+            print_text(told, f"Warning: {text}.")
 
         try:
             for found in sweep.rows(cache, progress=progress, say=say, **means):
@@ -128,20 +120,17 @@ def _csv(rows: Sequence[Row]) -> str:
 
 
 def _show(console: Any, sweep: Sweep, rows: Sequence[Row], page: Path) -> None:
-    from insemu.cli.printing import print_table
-    from insemu.report import SWEPT, sweep_answer, sweep_rows
+    from insemu.report.sweep import SWEPT, sweep_answer, sweep_rows
 
-    console.print(f"\n{sweep_answer(sweep, rows)}", style="bold", soft_wrap=True, highlight=False, markup=False)
+    print_text(console, f"\n{sweep_answer(sweep, rows)}", style="bold")
     header, body = sweep_rows(sweep, rows)
-    print_table(console, sweep.scenario.title, header, body, left=len(sweep.given) + 1, fit=True)
+    print_table(console, sweep.scenario.title, header, body, left=len(sweep.given) + 1, fit=True, groups=True)
     console.print(SWEPT, style="dim", soft_wrap=True, highlight=False)
     for design in dict.fromkeys(r.design for r in rows if r.why):
         found = [r for r in rows if r.design == design and r.why]
-        console.print(
+        print_text(
+            console,
             f"{design} is not linear at {len(found)} of {len(sweep.points)} points, where runs at long steps stand for it. Point {found[0].point}: "
             f"{found[0].why}.",
-            soft_wrap=True,
-            highlight=False,
-            markup=False,
         )
     console.print(f"\nPage: {page} (sweep.csv, sweep.json next to it)", soft_wrap=True, highlight=False)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import typer
+from rich.console import Console
 
 from insemu.cli.options import argument, option
+from insemu.cli.printing import STAGES, print_items, print_json, print_table, staged
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from insemu.transfer import Transfer
 
 
@@ -32,13 +31,9 @@ def command(
     as_json: bool = option("--json", False),
 ) -> None:
     """Carry a static noise model to a drive: factors on its levels, outages as the judge, and the reasons."""
-    import json
-
     import numpy as np
-    from rich.console import Console
 
     from insemu.cli.announce import announce
-    from insemu.cli.printing import STAGES, staged
     from insemu.errors import InputError
     from insemu.gap import from_its_start, load_measured, load_nominal
     from insemu.noise import save
@@ -46,7 +41,7 @@ def command(
     from insemu.transfer import transfer
 
     console = Console(stderr=as_json)
-    announce(recording, Console(stderr=True))
+    announce(recording)
     nominal, besides = load_nominal(model), load_nominal(known) if known else None
     data = load_measured(recording)
     if "recording" not in (besides or nominal).raw:  # a scenario of a recording tells times by the recording's clock
@@ -66,11 +61,11 @@ def command(
     if out:
         save(found.beliefs, out)
     if page:
-        from insemu.report import render_transfer
+        from insemu.report.transfer import render_transfer
 
         render_transfer(found, page, recording)
     if as_json:
-        typer.echo(json.dumps(found.to_json(), indent=1))
+        print_json(found.to_json())
         return
     _tell(found, console)
     if out:
@@ -81,8 +76,7 @@ def command(
 
 def _tell(found: Transfer, console: Console) -> None:
     """The answer on the terminal: does it help, the factors, the judge, the reasons."""
-    from insemu import report
-    from insemu.cli.printing import print_items, print_table
+    from insemu.report import transfer as report
 
     console.print(report.transfer_answer(found), style="bold", highlight=False, markup=False)
     print_items(console, found.assumed)
@@ -94,4 +88,4 @@ def _tell(found: Transfer, console: Console) -> None:
     )
     for title, (header, rows) in tables:
         if rows:
-            print_table(console, title, header, rows, left=1, fit=True, gap=lambda row: False)
+            print_table(console, title, header, rows, left=1, fit=True)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import typer
-
 from insemu.cli.options import argument, option
+from insemu.cli.printing import print_json
 
 
 def command(
@@ -22,17 +21,17 @@ def command(
 
     The sensor's noise is removed as standstills show it, or as --models says. What the recording cannot tell is printed and stands in the file.
     """
-    import json
     from pathlib import Path
 
     from rich.console import Console
 
-    from insemu import formats, report, units
+    from insemu import formats, units
     from insemu.cli.printing import print_items, print_table
     from insemu.drives import learn_vehicle
     from insemu.emulate import VEHICLES, vehicle_text
     from insemu.errors import InputError, nearest
     from insemu.noise import load, save
+    from insemu.report import drives as report
     from insemu.whole import put
 
     if kind not in VEHICLES:
@@ -49,11 +48,7 @@ def command(
     if sensor_out:
         save(found.sensor, sensor_out)
     if as_json:
-        typer.echo(
-            json.dumps(
-                {"vehicle": out, "seconds": found.seconds, "unknown": list(found.vehicle.spectrum.unknown)}, indent=1
-            )
-        )
+        print_json({"vehicle": out, "seconds": found.seconds, "unknown": list(found.vehicle.spectrum.unknown)})
         return
     print_table(
         console,
@@ -61,7 +56,6 @@ def command(
         *report.vehicle_rows(found),
         left=4,
         fit=True,
-        gap=lambda row: False,
     )
     console.print()
     print_items(console, report.vehicle_lines(found))

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import partial
 from typing import TYPE_CHECKING
 
 import typer
 
+from insemu import units
+from insemu.cli.logs import column_names, hertz
 from insemu.cli.options import DRAWS, argument, option
+from insemu.units import parse_unit
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     import numpy as np
 
     from insemu.fit import Alarm, Update
@@ -33,12 +36,11 @@ def command(
     as_json: bool = option("--json", False, "A line of JSON per fit and alarm."),
 ) -> None:
     """Watch a signal: the noise model with intervals as it is learnt, and alarms at a stated rate of false ones."""
-    from insemu import units
     from insemu.fit import OnlineFit
     from insemu.noise import NoiseModel
 
-    hertz = units.parse(rate, "Hz") if rate else None
-    series, pieces = _standard_input(hertz, columns) if file == "-" else _file(file, hertz, columns)
+    read = _standard_input if file == "-" else partial(_file, file)
+    series, pieces = read(hertz(rate), columns)
     watched = [
         OnlineFit(
             NoiseModel.parse(model, s.unit),
@@ -63,7 +65,6 @@ def command(
 
 def _file(file: str, rate_hz: float | None, columns: list[str] | None) -> tuple[list[Series], Pieces]:
     """The axes of a log, and its samples in pieces."""
-    from insemu.cli.logs import column_names
     from insemu.logs import open_log
 
     series = open_log(file, rate_hz, column_names(columns)).series(gaps=True)
@@ -78,12 +79,10 @@ def _standard_input(rate_hz: float | None, columns: list[str] | None) -> tuple[l
 
     import numpy as np
 
-    from insemu.cli.logs import column_names
     from insemu.errors import InputError, nearest
     from insemu.formats import AXIS_OF_COLUMN, round_rate, split_header
     from insemu.records import Series
     from insemu.sample_times import beat
-    from insemu.units import parse_unit
 
     def row(line: str, number: int) -> list[float]:
         cells = line.split(",")

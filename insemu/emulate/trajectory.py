@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.emulate.drives import urban_drive_1, urban_drive_2, urban_motorway
+from insemu.emulate.drives import drive, drives
 from insemu.emulate.flight import Flight, gusts, moving_share, origin_at
 from insemu.emulate.motion import Command, Leg, Profile, legs_of, path_of, profile, smoothstep, smoothstep_integral
 from insemu.emulate.path import KNOT_S, SmoothPath
@@ -182,9 +182,7 @@ def static(duration_s: float = 1200.0) -> Flight:
 #: Built-in flights and drives by name.
 TRAJECTORIES: dict[str, Callable[[], Flight]] = {
     "helicopter_mapping": helicopter_mapping,
-    "urban_drive_1": urban_drive_1,
-    "urban_drive_2": urban_drive_2,
-    "urban_motorway": urban_motorway,
+    **{name: partial(drive, name) for name in drives()},
     "turbulent_uav": turbulent_uav,
     "lemniscate": lemniscate,
     "static": static,

@@ -29,7 +29,7 @@ from insemu.evaluate.errors import (
     share_interval,
     within_outage,
 )
-from insemu.evaluate.experiment import Experiment
+from insemu.evaluate.experiment import Experiment, World
 from insemu.evaluate.folder import CACHE, MARKER, check_not_fewer, finish, only_writer, resolved, write, write_summary
 from insemu.evaluate.netcdf import write_netcdf
 from insemu.evaluate.provenance import changed, differences, surroundings
@@ -55,7 +55,7 @@ from insemu.evaluate.twin import LinearTwin
 from insemu.evaluate.until import Goal, Look, looks
 from insemu.evaluate.verdict import MEAN_SQUARE, Verdict
 from insemu.evaluate.ways import ways_of_run
-from insemu.evaluate.world import World, input_files
+from insemu.evaluate.world import input_files
 
 __all__ = [
     "CACHE",

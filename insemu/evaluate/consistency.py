@@ -316,24 +316,6 @@ def normalised_innovations(fixes: FixTable) -> Array:
     return np.asarray(np.linalg.solve(np.linalg.cholesky(S), nu[..., None])[..., 0])
 
 
-def whiteness_test(fixes: FixTable | Sequence[FixTable], *, lags: int = 5, confidence: float = 0.99) -> list[Verdict]:
-    """Autocorrelation of the normalised innovations at lags 1 to ``lags`` fixes, pooled over components and runs.
-
-    Products of independent standard normals have mean 0 and variance 1, so the mean of N of them lies within z / sqrt(N).
-
-    Parameters
-    ----------
-    fixes : FixTable or a sequence of them
-        One per run.
-    lags : int
-    confidence : float
-        Of all lags together.
-    """
-    tables = [fixes] if isinstance(fixes, FixTable) else list(fixes)
-    sums, counts = (sum(part) for part in zip(*(lag_products(t, lags) for t in tables), strict=True))
-    return whiteness_verdicts(sums, counts, confidence=confidence)
-
-
 def lag_products(fixes: FixTable, lags: int = 5) -> tuple[Array, Array]:
     """Sums of the products of normalised innovations at lags 1 to ``lags``, and how many products each has; sums of many runs add up."""
     y = normalised_innovations(fixes)
@@ -342,7 +324,7 @@ def lag_products(fixes: FixTable, lags: int = 5) -> tuple[Array, Array]:
 
 
 def whiteness_verdicts(sums: ArrayLike, counts: ArrayLike, *, confidence: float = 0.99) -> list[Verdict]:
-    """Sums of :func:`lag_products`, judged as in :func:`whiteness_test`.
+    """Sums of :func:`lag_products`, against the bounds of white ones.
 
     Parameters
     ----------
@@ -410,62 +392,6 @@ def coverage_test(
     return out
 
 
-def pooled_coverage(
-    errors: ArrayLike, sigma: ArrayLike, *, factor: float = 3.0, confidence: float = 0.95, rng: np.random.Generator
-) -> tuple[float, float, float]:
-    """Share of all epochs and states inside ``factor`` sigma, with a bootstrap interval over runs: ``(share, low, high)``.
-
-    Parameters
-    ----------
-    errors, sigma : (runs, epochs, states) array_like
-    factor : float
-    confidence : float
-        Of the interval.
-    rng : numpy.random.Generator
-    """
-    share = (np.abs(np.asarray(errors)) <= factor * np.asarray(sigma)).mean(axis=(1, 2))
-    means = share[rng.integers(0, share.size, (4000, share.size))].mean(axis=1)
-    low, high = np.quantile(means, [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence])
-    return float(share.mean()), float(low), float(high)
-
-
-@dataclass(frozen=True)
-class Credibility:
-    """How far the filter's covariance is from the actual one (Li and Zhao 2006), in decibels.
-
-    Parameters
-    ----------
-    index : float
-        Non-credibility index: mean over samples of ``|10 log10(NEES / NEES with the actual mean-square error)|``; 0 is credible.
-    inclination : float
-        The same without the modulus: positive for an overconfident filter, negative for a pessimistic one.
-    """
-
-    index: float
-    inclination: float
-
-    def __str__(self) -> str:
-        lean = "credible" if self.index < 1.0 else "overconfident" if self.inclination > 0 else "pessimistic"
-        return f"non-credibility {self.index:.2f} dB, inclination {self.inclination:+.2f} dB: {lean}"
-
-
-def credibility(errors: ArrayLike, covariance: ArrayLike) -> Credibility:
-    """Credibility of ``covariance`` (runs, epochs, k, k) for ``errors`` (runs, epochs, k): at least 2 k runs are needed.
-
-    Raises
-    ------
-    InputError
-        Fewer runs than twice the states.
-    """
-    e, P = np.asarray(errors, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
-    runs, _, k = e.shape
-    if runs < 2 * k:
-        raise InputError(f"{runs} runs do not tell the actual covariance of {k} states, expected at least {2 * k}")
-    actual = np.einsum("rti,rtj->tij", e, e) / runs
-    ratio = 10.0 * np.log10(nees(e, P) / nees(e, np.broadcast_to(actual, P.shape)))
-    return Credibility(float(np.abs(ratio).mean()), float(ratio.mean()))
-
-
 def observability(sigma: ArrayLike, prior: ArrayLike) -> Array:
     """Share of each state's own variance that the fixes have removed, over time: 0 unobserved, 1 known.
 
@@ -501,42 +427,3 @@ def unaided_sigma(augmentation: Augmentation, epochs: NDArray[np.intp]) -> Array
         P = Phi @ P @ Phi.T + Q
         out[k] = np.sqrt(np.diag(P))
     return out
-
-
-def consistency_report(
-    errors: ArrayLike,
-    covariance: ArrayLike,
-    fixes: Sequence[FixTable],
-    *,
-    at: Sequence[float],
-    groups: dict[str, slice] | None = None,
-    confidence: float = 0.99,
-) -> list[Verdict]:
-    """All tests of many independent runs of one design.
-
-    Parameters
-    ----------
-    errors : (runs, epochs, k) array_like
-    covariance : (runs, epochs, k, k) array_like
-    fixes : sequence of FixTable
-        One per run.
-    at : sequence of float
-        The epochs, s.
-    groups : mapping of name to slice, optional
-        States judged together by NEES; position, velocity and attitude unless given.
-    confidence : float
-        Of each kind of test.
-    """
-    e, P = np.asarray(errors, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
-    groups = groups or {"position": slice(0, 3), "velocity": slice(3, 6), "attitude": slice(6, 9)}
-    each = 1.0 - (1.0 - confidence) / len(groups)
-    out: list[Verdict] = []
-    for name, s in groups.items():
-        values = nees(e[..., s], P[..., s, s])
-        out += nees_test(values, e[..., s].shape[-1], subject=name, at=at, confidence=each)
-    out.append(nis_test(fixes, confidence=confidence))
-    out += whiteness_test(fixes, confidence=confidence)
-    names = [f"{name} {i + 1}" for name, s in groups.items() for i in range(s.stop - s.start)]
-    index = np.concatenate([np.arange(s.start, s.stop) for s in groups.values()])
-    sigma = np.sqrt(np.einsum("rtii->rti", P))
-    return out + coverage_test(e[..., index], sigma[..., index], names=names, confidence=confidence)

@@ -286,8 +286,7 @@ def updates(
         var[:, 3:] = np.broadcast_to(np.asarray(true_sigma[1], dtype=np.float64), (3,)) ** 2
     noise = np.zeros((epoch.size, 6, 6))
     noise[:, range(6), range(6)] = np.where(gains.used, var, 0.0)
-    l0, l1, l2 = ekf.lever_arm
-    X = -rotation.dcm_from_quaternion(nav[epoch, 6:10]) @ np.array([[0.0, -l2, l1], [l2, 0.0, -l0], [-l1, l0, 0.0]])
+    X = -rotation.dcm_from_quaternion(nav[epoch, 6:10]) @ rotation.skew(ekf.lever_arm)
     # rate errors in the velocity of the arm: true minus estimated sensor error, as u in the loop
     swung = X @ joint.output(np.hstack(joint.sensed(imu))[epoch] / imu.widths(0.0)[epoch])[..., :3, :]
     Hz[:, 3:, 9:] -= swung

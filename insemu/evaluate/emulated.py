@@ -45,7 +45,6 @@ from insemu.evaluate.world import (
     Scored,
     input_files,
     major_axis,
-    nearest_rows,
     static_logs,
     stream,
 )
@@ -432,10 +431,6 @@ class EmulatedWorld:
         start = NavState.of(self.reference)
         moved = NavState(earth.move(start.llh, error[:3]), start.vel_ned + error[3:6], start.rpy + error[6:9])
         return moved, sigma
-
-    def rows(self, imu: ImuRecord, every: int) -> NDArray[np.intp]:
-        """Rows of a record (multiples of ``every``) nearest the output epochs."""
-        return nearest_rows(imu.t, self.output_times, every)
 
     @property
     def card(self) -> None:

@@ -16,16 +16,8 @@ from insemu.records import Trajectory
 Array = NDArray[np.float64]
 
 #: The nine components of a navigation error, in state order, with their SI units.
-COMPONENTS = (
-    "position_north",
-    "position_east",
-    "position_down",
-    "velocity_north",
-    "velocity_east",
-    "velocity_down",
-    "attitude_north",
-    "attitude_east",
-    "attitude_down",
+COMPONENTS = tuple(
+    f"{what}_{axis}" for what in ("position", "velocity", "attitude") for axis in ("north", "east", "down")
 )
 COMPONENT_UNITS = ("m",) * 3 + ("m/s",) * 3 + ("rad",) * 3
 #: The groups whose coverage is reported.

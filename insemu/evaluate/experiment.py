@@ -22,11 +22,12 @@ from insemu.emulate import TrueStates
 from insemu.errors import InputError
 from insemu.evaluate.consistency import unaided_sigma
 from insemu.evaluate.dataset import of_designs
+from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.held import HELD, key_of
 from insemu.evaluate.recorded import RecordedWorld
 from insemu.evaluate.scores import run_scores, sensor_scores
 from insemu.evaluate.stretched import Stretch, StretchedWorld, emulated_world
-from insemu.evaluate.world import Estimate, World, implausible, static_logs, stream
+from insemu.evaluate.world import Estimate, implausible, nearest_rows, static_logs, stream
 from insemu.filters import (
     FilterOptions,
     FilterParts,
@@ -52,6 +53,9 @@ if TYPE_CHECKING:
 
 
 Array = NDArray[np.float64]
+
+#: What really happens, emulated or recorded.
+World = EmulatedWorld | RecordedWorld
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,7 @@ class Experiment:
             _ = self.world.alignment
         for name, design in scenario.designs.items():
             if not any(isinstance(source, AxisSource) and source.fit for source in design.sources().values()):
-                self._made(name, self._belief(name, {}))  # nor is a belief that no filter can carry
+                self.filter(name, self._belief(name, {}))  # nor is a belief that no filter can carry
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"code": code_version(), "_held": {}}
@@ -273,6 +277,7 @@ class Experiment:
     def filter(
         self,
         design: str,
+        belief: Belief | None = None,
         *,
         output_every: int = 1,
         covariance_at: Array | None = None,
@@ -283,6 +288,8 @@ class Experiment:
         Parameters
         ----------
         design : str
+        belief : Belief, optional
+            What it believes; what the scenario gives the design unless given.
         output_every : int
             A row of the result every so many epochs of the covariance.
         covariance_at : (k,) array, optional
@@ -290,44 +297,7 @@ class Experiment:
         standstill : Standstill, optional
             Updates at rest; those of the world unless given.
         """
-        return self._made(
-            design,
-            self.beliefs[design],
-            output_every=output_every,
-            covariance_at=covariance_at,
-            standstill=standstill or self.world.standstill,
-        )
-
-    def ekf(self, design: str) -> LooselyCoupledEKF:
-        """The extended Kalman filter of a design.
-
-        Raises
-        ------
-        InputError
-            The design names another filter.
-        """
-        made = self.filter(design)
-        if not isinstance(made, LooselyCoupledEKF) or not made.first_order:
-            name = self.scenario.designs[design].filter
-            raise InputError(
-                f"the design '{design}' is the filter '{name}', expected the extended Kalman filter",
-                where=str(self.file or "scenario"),
-            )
-        return made
-
-    def altered(self, design: str, parts: FilterParts) -> FilterParts:
-        """What a filter is made of, as it is used; for experiments that change it (:mod:`insemu.evaluate.regression`)."""
-        return parts
-
-    def _made(
-        self,
-        design: str,
-        belief: Belief,
-        *,
-        output_every: int = 1,
-        covariance_at: Array | None = None,
-        standstill: Standstill | None = None,
-    ) -> LooselyCoupledEKF | NavigationFilter:
+        belief, standstill = belief or self.beliefs[design], standstill or self.world.standstill
         gnss, chosen = self.scenario.gnss, self.scenario.designs[design]
         options = chosen.options
         sigma = np.array(gnss.position_sigma) * options.tuning.position
@@ -357,6 +327,27 @@ class Experiment:
             if isinstance(error, NotStationary):
                 hint = "; to take it write {model: [...], stabilise: true}, or the largest modulus of a pole instead of true"
             raise InputError(f"{error}{hint}", where=f"{self.file or 'scenario'}: designs.{design}") from None
+
+    def ekf(self, design: str) -> LooselyCoupledEKF:
+        """The extended Kalman filter of a design.
+
+        Raises
+        ------
+        InputError
+            The design names another filter.
+        """
+        made = self.filter(design)
+        if not isinstance(made, LooselyCoupledEKF) or not made.first_order:
+            name = self.scenario.designs[design].filter
+            raise InputError(
+                f"the design '{design}' is the filter '{name}', expected the extended Kalman filter",
+                where=str(self.file or "scenario"),
+            )
+        return made
+
+    def altered(self, design: str, parts: FilterParts) -> FilterParts:
+        """What a filter is made of, as it is used; for experiments that change it (:mod:`insemu.evaluate.regression`)."""
+        return parts
 
     def realization(self, index: int) -> xr.Dataset:
         """Fly every design through one realization; see :meth:`side_by_side`."""
@@ -420,7 +411,8 @@ class Experiment:
         """What a design's filter is fed of a realization."""
         known = self.compensated(name, one.recording, one.start, one.start_sigma)
         assert known.gnss is not None
-        rows = self.world.rows(known.imu, max(d.options.covariance_every for d in self.scenario.designs.values()))
+        every = max(d.options.covariance_every for d in self.scenario.designs.values())
+        rows = nearest_rows(known.imu.t, self.world.output_times, every)
         ekf, unaided = self._ready(name, known.imu.t[rows], rows, self._rests(name, known))
         imu = self._prefiltered(name, self.world.imu_for(known.imu, ekf))
         # the true states are those of the data as they came: they say nothing of what is left after a compensation

@@ -14,7 +14,7 @@ from insemu.emulate import Outage, antenna, state_at
 from insemu.errors import InputError
 from insemu.evaluate.consistency import nees
 from insemu.evaluate.errors import navigation_error
-from insemu.evaluate.world import Estimate, Scored, input_files, major_axis, nearest_rows
+from insemu.evaluate.world import Estimate, Scored, input_files, major_axis
 from insemu.filters import (
     Alignment,
     InitialSigma,
@@ -177,10 +177,6 @@ class RecordedWorld:
         k = np.searchsorted(self.gnss.t, t)
         vel = self.gnss.vel_ned[k] if self.gnss.vel_ned is not None else np.zeros((t.size, 3))
         return Trajectory(t, self.gnss.llh[k], np.nan_to_num(vel), np.zeros((t.size, 3)), "fixes")
-
-    def rows(self, imu: ImuRecord, every: int) -> NDArray[np.intp]:
-        """Rows of the record nearest the output epochs."""
-        return nearest_rows(imu.t, self.output_times, every)
 
     @property
     def compared(self) -> int:

@@ -120,9 +120,7 @@ class LinearTwin:
             self.designs[name] = LinearErrors(
                 intervals, self._transition[:, i, :nb, :nb], self.epoch, self._M[:, i, :nb, :nb], self._N[:, i, :nb], self._K[:, i, :nb]
             )  # fmt: skip
-            l0, l1, l2 = ekf.lever_arm
-            cross = np.array([[0.0, -l2, l1], [l2, 0.0, -l0], [-l1, l0, 0.0]])
-            self._arm[name] = -rotation.dcm_from_quaternion(nav[self.epoch, 6:10]) @ cross
+            self._arm[name] = -rotation.dcm_from_quaternion(nav[self.epoch, 6:10]) @ rotation.skew(ekf.lever_arm)
             self.stated[name] = np.sqrt(P[:, 0, 0] + P[:, 1, 1])
             del own, gains, M, K  # before the next design needs as much
 

@@ -5,36 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.emulate import TrueStates
 from insemu.errors import InputError
-from insemu.filters import FilterResult, InitialSigma, NavigationFilter, SmootherResult, Standstill
+from insemu.filters import FilterResult, SmootherResult
 from insemu.formats import read_recording, read_static
-from insemu.intake import Card
 from insemu.noise import axis_unit
-from insemu.records import AXES, ImuRecord, Recording, Series, Trajectory
+from insemu.records import AXES, Recording, Series
 from insemu.scenario import AxisSource, RecordedSignal, Scenario, resolve_path
-from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
 
 #: Streams of randomness; each gets children of the scenario's seed by (stream, realization or record, axis).
-_STREAMS = {
-    "truth": 0,
-    "gnss": 1,
-    "initial": 2,
-    "fits": 3,
-    "effects": 4,
-    "outages": 5,
-    "aids": 6,
-    "sensor": 7,
-    "linear": 8,
-    "coarse": 9,
-}
+_STREAMS = ("truth", "gnss", "initial", "fits", "effects", "outages", "aids", "sensor", "linear", "coarse")
 
 
 #: Interval of the epochs at which errors are evaluated, s.
@@ -43,7 +28,7 @@ OUTPUT_INTERVAL = 1.0
 
 def stream(seed: int, name: str, *index: int) -> np.random.Generator:
     """The generator of one stream, for example ``stream(seed, "truth", record, axis)``: the same alone or among 1000."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAMS[name], *index)))
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAMS.index(name), *index)))
 
 
 def input_files(scenario: Scenario, file: str | Path | None) -> dict[str, Path]:
@@ -145,91 +130,6 @@ def _stretches(recording: Recording, spans: Sequence[tuple[float, float]], name:
         both = values[rows]
         out.append({axis: Series(both[:, k], rate, axis_unit(axis), axis) for k, axis in enumerate(AXES)})
     return out
-
-
-class World(Protocol):
-    """What really happens, emulated or recorded: what an experiment needs to know of it.
-
-    Attributes
-    ----------
-    files : mapping of str to path
-        Every file that the scenario names.
-    warnings : tuple of str
-    path_distance_m : float
-        Largest distance between the reference and the requested path; 0 of a recording.
-    """
-
-    files: dict[str, Path]
-    warnings: tuple[str, ...]
-    path_distance_m: float
-
-    @property
-    def card(self) -> Card | None:
-        """What the recording was taken for; None of an emulated flight."""
-        ...
-
-    @property
-    def rate_hz(self) -> float:
-        """Nominal IMU rate."""
-        ...
-
-    @property
-    def gravity(self) -> str:
-        """Gravity model of the filters."""
-        ...
-
-    @property
-    def standstill(self) -> Standstill | None:
-        """Known rests that are fed to every filter."""
-        ...
-
-    def imu_for(self, imu: ImuRecord, ekf: NavigationFilter) -> ImuRecord:
-        """What one filter is given of the IMU data."""
-        ...
-
-    def restored(self, recording: Recording) -> Recording:
-        """A recording of this world with the lost samples of its IMU filled in."""
-        ...
-
-    @property
-    def outage_windows(self) -> list[tuple[float, float]]:
-        """Every outage as (start_s, duration_s)."""
-        ...
-
-    @property
-    def output_times(self) -> Array:
-        """Epochs at which errors are evaluated, s."""
-        ...
-
-    @property
-    def truth_at_outputs(self) -> Trajectory:
-        """The reference at the output epochs."""
-        ...
-
-    @property
-    def compared(self) -> int:
-        """Number of navigation errors that have a reference."""
-        ...
-
-    def recording(self, realization: int) -> Recording:
-        """What the sensors give in one realization."""
-        ...
-
-    def realized(self, realization: int) -> tuple[Recording, TrueStates | None]:
-        """The same, and what the sensors really did at the output epochs; None where nobody knows."""
-        ...
-
-    def start(self, realization: int, imu: ImuRecord) -> tuple[NavState, InitialSigma]:
-        """Where the filters start."""
-        ...
-
-    def rows(self, imu: ImuRecord, every: int) -> NDArray[np.intp]:
-        """Rows of a record (multiples of ``every``) nearest the output epochs."""
-        ...
-
-    def score(self, run: Estimate, times: Array) -> Scored:
-        """Errors of a run at some of its epochs."""
-        ...
 
 
 @dataclass(frozen=True)

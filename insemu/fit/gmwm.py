@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from insemu.errors import InputError
 from insemu.fit.covariance import covariance_of_curve
 from insemu.fit.identifiability import warnings_of
-from insemu.fit.minimum import REFINED, Solution, root_of_inverse, search
+from insemu.fit.minimum import Problem, Solution, root_of_inverse
 from insemu.fit.result import FitResult, GoodnessOfFit, estimates
 from insemu.fit.structure import Structure, natural_jacobian
 from insemu.noise import NoiseModel
@@ -140,12 +140,12 @@ def fit_curve(
     else:
         # a given covariance is what the curve is known by, and what the model is tested by
         V = problem.covariance(best) if covariance is None else problem.part(covariance)
-        test = goodness_of_fit(structure, best, scale, problem.value, V, problem.n, problem.dt)
-    fitted_model = structure.specified(best.coefficients, best.shapes)
+        test = goodness_of_fit(problem, best, V)
+    fitted_model = problem.model(best)
     D, free = natural_jacobian(fitted_model, structure, scale / 2.0)
     covariance_of, weak = parameter_covariance(D, W, V)
     if used == "asymptotic":
-        correction = finite_record_bias(structure, best, free, covariance_of, scale, W, V, problem.n)
+        correction = finite_record_bias(problem, best, free, covariance_of, W, V)
         if correction.any():
             fitted_model = _moved(fitted_model, free, -correction)
             coefficients, shapes = structure.internal(fitted_model)
@@ -161,7 +161,7 @@ def fit_curve(
         parameters=estimates(fitted_model, free, covariance_of, unit, confidence),
         covariance=covariance_of,
         curve=curve,
-        fitted=expected_variance(fitted_model, curve.filter, curve.scale_samples, problem.dt),
+        fitted=expected_variance(fitted_model, curve.filter, curve.scale_samples, structure.dt),
         objective=best.objective,
         converged=best.converged,
         warnings=_notes(problem, best, fitted_model, free, covariance_of),
@@ -180,40 +180,20 @@ def fit_curve(
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _Problem(Problem):
     """The scales of a curve that are used, and the structure that is fitted to them."""
 
-    structure: Structure
     curve: WaveletVariance
     use: NDArray[np.bool_]
     efficiency: float
-
-    @property
-    def scale(self) -> NDArray[np.int64]:
-        return self.curve.scale_samples[self.use]
-
-    @property
-    def value(self) -> Array:
-        return self.curve.value[self.use]
-
-    @property
-    def n(self) -> int:
-        return self.curve.n_samples
-
-    @property
-    def dt(self) -> float:
-        return self.structure.dt
 
     def part(self, covariance: ArrayLike) -> Array:
         """The covariance of the scales that are used."""
         return np.asarray(covariance, dtype=np.float64)[np.ix_(self.use, self.use)]
 
-    def search(self, W: Array, starts: Array, *, refined: int = REFINED, flattened: bool = True) -> Solution:
-        return search(self.structure, self.scale, self.value, W, self.n, starts, refined=refined, flattened=flattened)
-
     def covariance(self, at: Solution, replicates: int = 0, rng: np.random.Generator | None = None) -> Array:
         """Covariance of the curve under a solution: closed form, or of so many draws."""
-        model = self.structure.specified(at.coefficients, at.shapes)
+        model = self.model(at)
         if not replicates:
             return covariance_of_curve(model, self.curve, self.scale) / self.efficiency
         if rng is None:
@@ -226,10 +206,6 @@ def _problem(
     curve: WaveletVariance, model: NoiseModel, tau_from: float, tau_to: float, efficiency: float, name: str
 ) -> _Problem:
     """What is fitted to what; raises ``InputError`` where a curve or a structure cannot be."""
-    if curve.transform != "modwt":
-        raise InputError(
-            f"the wavelet variance of the transform '{curve.transform}' cannot be fitted: its covariance is not known; use modwt"
-        )
     structure = Structure.of(model, curve.rate_hz, curve.filter)
     use = (curve.tau_s >= tau_from * (1 - 1e-9)) & (curve.tau_s <= tau_to * (1 + 1e-9))
     use &= curve.scale_samples <= curve.n_samples
@@ -242,7 +218,7 @@ def _problem(
         raise InputError(
             f"{name}: {model} has {p} free parameters and the curve {value.size} scale(s); expected at least as many scales"
         )
-    return _Problem(structure, curve, use, efficiency)
+    return _Problem(structure, curve.scale_samples[use], value, curve.n_samples, curve, use, efficiency)
 
 
 def _given_weights(problem: _Problem, widths: ArrayLike | None, covariance: ArrayLike | None) -> Array:
@@ -286,17 +262,14 @@ def _weighed_by_the_model(
             near = other if other.objective < near.objective else near
         best = near
     V = problem.covariance(best)
-    test = goodness_of_fit(problem.structure, best, problem.scale, problem.value, V, problem.n, problem.dt)
-    return _Weighed(best, rows, V, test)
+    return _Weighed(best, rows, V, goodness_of_fit(problem, best, V))
 
 
 def _notes(
     problem: _Problem, best: Solution, model: NoiseModel, free: list[tuple[int, str]], covariance: Array
 ) -> tuple[str, ...]:
-    scale, value = problem.scale, problem.value
-    notes = warnings_of(
-        problem.structure, best.coefficients, best.shapes, model, free, covariance, scale, value, problem.n
-    )
+    value = problem.value
+    notes = warnings_of(problem, best, model, free, covariance)
     if value.size == problem.structure.free_parameters:
         notes.append(f"as many parameters as scales ({value.size}): the fit cannot be tested")
     if not best.converged:
@@ -305,14 +278,7 @@ def _notes(
 
 
 def finite_record_bias(
-    structure: Structure,
-    at: Solution,
-    free: list[tuple[int, str]],
-    covariance: Array,
-    scale: NDArray[np.int64],
-    W: Array,
-    V: Array,
-    n_samples: int,
+    problem: Problem, at: Solution, free: list[tuple[int, str]], covariance: Array, W: Array, V: Array
 ) -> Array:
     """Mean error of the estimates that comes from their curvature in the wavelet variances, to second order.
 
@@ -322,16 +288,14 @@ def finite_record_bias(
 
     Parameters
     ----------
-    structure : Structure
+    problem : Problem
     at : Solution
         The estimate.
     free : list of (process number, parameter name)
     covariance : (p, p) array
         Of the free parameters.
-    scale : (J,) array
     W, V : arrays
         Root of the weights, covariance of the curve.
-    n_samples : int
 
     Returns
     -------
@@ -340,7 +304,7 @@ def finite_record_bias(
         moving averages. At most half a standard error.
     """
     nothing = np.zeros(len(free))
-    model = structure.specified(at.coefficients, at.shapes)
+    model = problem.model(at)
     centre = _values(model, free)
     error = np.sqrt(np.diag(covariance))
     if (
@@ -353,7 +317,7 @@ def finite_record_bias(
         )
     ):
         return nothing
-    fitted = structure.columns(scale / 2.0, at.shapes)[0] @ at.coefficients
+    fitted = problem.fitted(at)
     sd = np.sqrt(np.diag(V))
     size, directions = np.linalg.eigh(V / np.outer(sd, sd))
     steps = (directions * np.sqrt(np.maximum(size, 0.0))).T * sd
@@ -361,8 +325,8 @@ def finite_record_bias(
     mean = nothing.copy()
     for step in steps:
         for moved in (fitted + step, fitted - step):
-            near = search(structure, scale, moved, W, n_samples, start)
-            mean += 0.5 * (_values(structure.specified(near.coefficients, near.shapes), free) - centre)
+            near = replace(problem, value=moved).search(W, start)
+            mean += 0.5 * (_values(problem.model(near), free) - centre)
     limit = 0.5 * error
     return np.clip(mean, -limit, limit) if np.isfinite(mean).all() else nothing
 
@@ -474,9 +438,7 @@ def parameter_covariance(D: Array, W: Array, V: Array) -> tuple[Array, list[int]
     return out, lost
 
 
-def goodness_of_fit(
-    structure: Structure, at: Solution, scale: NDArray[np.int64], value: Array, V: Array, n: int, dt: float
-) -> GoodnessOfFit | None:
+def goodness_of_fit(problem: Problem, at: Solution, V: Array) -> GoodnessOfFit | None:
     """The test of over-identifying restrictions (27) of Stebler et al. 2014, on scales with enough degrees of freedom.
 
     The covariance is the model's own at the estimate, and the statistic is taken at its minimum over those scales, so that its
@@ -484,51 +446,27 @@ def goodness_of_fit(
 
     Parameters
     ----------
-    structure : Structure
+    problem : Problem
     at : Solution
         The estimate.
-    scale, value : (J,) arrays
-        Scales in samples, and the curve in unit^2.
     V : (J, J) array
         Covariance of the curve, unit^4.
-    n : int
-        Length of the record.
-    dt : float
-        Sampling interval, s.
     """
-    m = scale / 2.0
-    fitted = structure.columns(m, at.shapes)[0] @ at.coefficients
-    enough = 2.0 * fitted**2 / np.diag(V) >= TEST_DOF
-    # a parameter at zero is not fitted; neither is its shape
-    alive = at.coefficients > 0
-    p = sum(
-        int(structure.fixed[k] < 0)
-        + int(np.isnan(structure.held[structure.offsets[k] : structure.offsets[k + 1]]).sum())
-        for k in np.flatnonzero(alive)
-    )
-    dof = int(enough.sum()) - p
+    enough = 2.0 * problem.fitted(at) ** 2 / np.diag(V) >= TEST_DOF
+    dof = int(enough.sum()) - problem.alive(at)
     if dof < 1:
         return None
     W = root_of_inverse(V[np.ix_(enough, enough)])
-    best = search(structure, scale[enough], value[enough], W, n, at.shapes[None, :])
-    return GoodnessOfFit(
-        best.objective,
-        dof,
-        float(scipy.special.chdtrc(dof, best.objective)),
-        np.asarray(scale[enough] * dt, dtype=np.float64),
-    )
+    used = problem.rows(enough)
+    best = used.search(W, at.shapes[None, :])
+    tau = np.asarray(used.scale * problem.structure.dt, dtype=np.float64)
+    return GoodnessOfFit(best.objective, dof, float(scipy.special.chdtrc(dof, best.objective)), tau)
 
 
 def refit(result: FitResult, value: Array) -> FitResult:
     """The same problem and weights with another curve, from the found solution: what a bootstrap repeats."""
     assert result.curve is not None
     structure = Structure.of(result.structure, result.rate_hz, result.curve.filter)
-    scale = result.details["scales"]
-    start = structure.internal(result.model)[1][None, :]
-    best = search(structure, scale, value, result.details["W"], result.n_samples, start)
-    return replace(
-        result,
-        model=structure.specified(best.coefficients, best.shapes),
-        objective=best.objective,
-        converged=best.converged,
-    )
+    problem = Problem(structure, result.details["scales"], value, result.n_samples)
+    best = problem.search(result.details["W"], structure.internal(result.model)[1][None, :])
+    return replace(result, model=problem.model(best), objective=best.objective, converged=best.converged)

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.fit.structure import Structure
+from insemu.fit.minimum import Problem, Solution
 from insemu.noise import NoiseModel, process_label
 
 Array = NDArray[np.float64]
@@ -20,36 +20,23 @@ COLOURED = 0.3
 
 
 def warnings_of(
-    structure: Structure,
-    coefficients: Array,
-    shapes: Array,
-    model: NoiseModel,
-    free: list[tuple[int, str]],
-    covariance: Array,
-    scale: NDArray[np.int64],
-    value: Array,
-    n_samples: int,
+    problem: Problem, at: Solution, model: NoiseModel, free: list[tuple[int, str]], covariance: Array
 ) -> list[str]:
     """Warnings about a solution: parts that vanish, correlation times beyond the record or below a sample, parts that coincide.
 
     Parameters
     ----------
-    structure : Structure
-    coefficients, shapes : arrays
-        The solution.
+    problem : Problem
+    at : Solution
     model : NoiseModel
-        The same, specified.
+        The solution, specified.
     free : list of (process number, parameter name)
     covariance : (p, p) array
         Of the free parameters.
-    scale, value : (J,) arrays
-        Scales in samples, and the curve in unit^2.
-    n_samples : int
-        Length of the record.
     """
     out: list[str] = []
-    m = scale / 2.0
-    columns, _ = structure.columns(m, shapes)
+    structure, coefficients = problem.structure, at.coefficients
+    columns, _ = structure.columns(problem.scale / 2.0, at.shapes)
     parts = columns * coefficients
     total = parts.sum(axis=1)
     labels = [process_label(p.symbol, index) for index, p in model.indexed()]
@@ -60,7 +47,7 @@ def warnings_of(
         advice = f"; the data support {_shape(simpler)}" if len(simpler) else ""
         amount = "zero" if coefficients[k] == 0 else f"below {TRACE:.1%} of the curve at every scale"
         out.append(f"{labels[k]}: its variance is {amount}, so it is not identifiable{advice}")
-    record = n_samples * structure.dt
+    record = problem.n * structure.dt
     times: list[tuple[int, float]] = []
     for k, p in enumerate(model):
         time = p.correlation_time(structure.dt)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -20,12 +20,12 @@ import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError
-from insemu.fit import _integrated_kernel
 from insemu.fit.coordinates import Coordinates
 from insemu.fit.gmwm import fit_curve
 from insemu.fit.result import FitResult, estimates
-from insemu.noise import NoiseModel, StateBlock
+from insemu.noise import NoiseModel
 from insemu.records import Series
+from insemu.statespace import Model, innovations
 from insemu.variance import WaveletVariance, stream_wavelet_variance, wavelet_variance
 
 Array = NDArray[np.float64]
@@ -91,33 +91,33 @@ def integrate(values: Array, at: NDArray[np.int64], dt: float) -> Array:
 
 
 class _Problem:
-    """Increments, their spans, and the likelihood of a model for them."""
+    """What is seen at the points of a pattern, and the likelihood of a model for it: increments of the integral, or the samples themselves."""
 
-    def __init__(self, increments: Array, at: NDArray[np.int64], dt: float, bias: bool) -> None:
-        self.y, self.dt, self.bias = increments, dt, bias
+    def __init__(self, seen: Array, at: NDArray[np.int64], dt: float, bias: bool, *, integrated: bool = True) -> None:
+        self.y, self.dt, self.bias, self.integrated = seen, dt, bias, integrated
         spans = np.diff(np.concatenate([[0], at]))
         self.counts, which = np.unique(spans, return_inverse=True)
         self.which = np.ascontiguousarray(which.ravel(), dtype=np.int64)
-        self.spans = spans * dt
+        self.columns = np.column_stack([seen, spans * dt if integrated else np.ones(at.size)])
 
     def likelihood(self, model: NoiseModel) -> tuple[float, float]:
-        """Log-likelihood and the constant."""
-        block: StateBlock = model.block(self.dt)
-        n = block.n + 1
-        F, V = np.zeros((n, n)), np.zeros((n, n))
-        # the integral takes each new sample
-        F[:-1, :-1] = block.Phi
-        F[-1, :-1] = self.dt * block.c @ block.Phi
-        F[-1, -1] = 1.0
-        to = np.vstack([np.eye(n - 1), self.dt * block.c[None, :]])
-        V[:, :] = to @ block.Q @ to.T
-        k = self.counts.size
-        A, W = np.empty((k, n, n)), np.empty((k, n, n))
-        _integrated_kernel.powers(F, V, self.counts.astype(np.int64), A, W)
-        P0 = np.zeros((n, n))
-        P0[:-1, :-1] = block.P0
-        extra = block.white * self.dt**2 * self.counts
-        return _integrated_kernel.increments_likelihood(A, W, self.which, P0, extra, self.y, self.spans, self.bias)
+        """Log-likelihood, that with a flat prior where a constant is estimated along, and the constant (zero without one)."""
+        block = model.block(self.dt)
+        n, counts = block.n, self.counts
+        if self.integrated:
+            F, V = replace(block, c=self.dt * block.c).accumulated(counts.tolist())
+            white = block.white * self.dt**2 * counts
+        else:
+            F, V = block.accumulated(counts.tolist())
+            to = np.vstack([np.eye(n), block.c[None, :]])
+            F, V, white = to @ F[:, :n, :n], to @ V[:, :n, :n] @ to.T, np.full(counts.size, block.white)
+        seen, start = np.append(np.zeros(n), 1.0), np.array(block.P0)
+        space = Model(np.ascontiguousarray(F[:, :, :n]), V, seen, white, np.zeros(n + 1), np.zeros(n), start)
+        value, products = innovations(space, self.which, self.columns)
+        if not self.bias:
+            return value - 0.5 * products[0, 0], 0.0
+        (yy, _), (yz, zz) = products
+        return value - 0.5 * (yy - yz * yz / zz) - 0.5 * math.log(zz), yz / zz
 
 
 def fit_mli(
@@ -170,11 +170,8 @@ def fit_mli(
         at = step * np.arange(1, increments.size + 1, dtype=np.int64)
         return _maximise(_Problem(increments, at, series.dt, bias), model, start, curve, about, bias, confidence)
     at = sampling_pattern(n, pattern, points)
-    problem: _Problem | _Direct
-    if integrated:
-        problem = _Problem(integrate(series.values, at, series.dt), at, series.dt, bias)
-    else:
-        problem = _Direct(series.values[at - 1], at, series.dt, bias)
+    seen = integrate(series.values, at, series.dt) if integrated else series.values[at - 1]
+    problem = _Problem(seen, at, series.dt, bias, integrated=integrated)
     return _maximise(problem, model, start, wavelet_variance(series.values, series.rate_hz), about, bias, confidence)
 
 
@@ -259,7 +256,7 @@ def _in_pieces(pieces: Iterable[ArrayLike], step: int, rate_hz: float) -> tuple[
 
 
 def _maximise(
-    problem: _Problem | _Direct,
+    problem: _Problem,
     model: NoiseModel,
     start: NoiseModel | None,
     curve: WaveletVariance,
@@ -306,7 +303,7 @@ def _maximise(
     )
 
 
-def _cost(problem: _Problem | _Direct, coordinates: Coordinates) -> Callable[[Array], float]:
+def _cost(problem: _Problem, coordinates: Coordinates) -> Callable[[Array], float]:
     """Minus the log-likelihood; where there is none, above everything seen so far, so that a search turns back."""
     worst = [math.inf]
 
@@ -356,33 +353,6 @@ def _notes(
         if not math.isfinite(covariance[i, i]) or covariance[i, i] < 0:
             notes.append(f"{fitted.processes[k].symbol}.{name}: the likelihood does not determine it")
     return notes
-
-
-class _Direct:
-    """The likelihood of samples themselves at the pattern's points, for comparison."""
-
-    def __init__(self, samples: Array, at: NDArray[np.int64], dt: float, bias: bool) -> None:
-        spans = np.diff(np.concatenate([[0], at]))
-        self.counts, which = np.unique(spans, return_inverse=True)
-        self.which = np.ascontiguousarray(which.ravel(), dtype=np.int64)
-        self.y, self.dt, self.bias = np.ascontiguousarray(samples), dt, bias
-        self.ones = np.ones(at.size)
-
-    def likelihood(self, model: NoiseModel) -> tuple[float, float]:
-        """Log-likelihood and the constant: the last state is what the sample sees instead of an integral."""
-        block = model.block(self.dt)
-        n = block.n
-        A, W = np.zeros((self.counts.size, n + 1, n + 1)), np.zeros((self.counts.size, n + 1, n + 1))
-        if n:
-            a, w = np.empty((self.counts.size, n, n)), np.empty((self.counts.size, n, n))
-            _integrated_kernel.powers(np.array(block.Phi), np.array(block.Q), self.counts.astype(np.int64), a, w)
-            to = np.vstack([np.eye(n), block.c[None, :]])
-            A[:, :, :n] = to @ a
-            W[:] = to @ w @ to.T
-        P0 = np.zeros((n + 1, n + 1))
-        P0[:n, :n] = block.P0
-        extra = np.full(self.counts.size, block.white)
-        return _integrated_kernel.increments_likelihood(A, W, self.which, P0, extra, self.y, self.ones, self.bias)
 
 
 def _simplex(x: Array) -> Array:

@@ -7,13 +7,14 @@ is a search of the whole space at a cost of milliseconds, and why no start needs
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insemu.fit import _kernel
 from insemu.fit.structure import Structure
+from insemu.noise import NoiseModel
 
 Array = NDArray[np.float64]
 
@@ -39,62 +40,89 @@ def root_of_inverse(covariance: Array) -> Array:
     return np.ascontiguousarray((vectors[:, keep] / np.sqrt(values[keep])).T / scale)
 
 
-def search(
-    structure: Structure,
-    scale_samples: NDArray[np.int64],
-    value: Array,
-    W: Array,
-    n_samples: int,
-    starts: Array,
-    *,
-    refined: int = REFINED,
-    flattened: bool = True,
-) -> Solution:
-    """Minimise ``|W (value - model)|^2`` from the best of ``starts``.
+@dataclass(frozen=True)
+class Problem:
+    """A structure, and the part of a curve that it is fitted to.
 
     Parameters
     ----------
     structure : Structure
-    scale_samples, value : (J,) arrays
-    W : (rows, J) array
-    n_samples : int
-    starts : (s, shapes) array
-    refined : int
-        How many of each ranking are refined.
-    flattened : bool
-        Also rank by equation (34).
+    scale : (J,) array of int
+        Scales in samples.
+    value : (J,) array
+        The curve, unit^2.
+    n : int
+        Samples of the record.
     """
-    m = scale_samples / 2.0
-    y = W @ value
-    size = float(y @ y)
-    unit = np.where(structure.fixed < 0, -1.0, structure.fixed)
-    low, high = structure.bounds(n_samples)
-    rank = np.empty(starts.shape[0])
-    args = (structure.curves, structure.orders, structure.offsets, m)
-    chosen: list[int] = []
-    if starts.shape[0] <= refined:
-        chosen = list(range(starts.shape[0]))
-    else:
-        rankings = [(W, y)]
-        if flattened:
-            rankings.append((np.diag(1.0 / value), np.ones(value.size)))
-        for rows, target in rankings:
-            _kernel.screen(*args, starts, np.ascontiguousarray(rows), target, unit, rank)
-            order = np.argsort(rank, kind="stable")
-            best = rank[order[0]]
-            for i in order[:refined]:
-                if int(i) not in chosen and rank[i] <= 1e3 * best + 1e-6 * size:
-                    chosen.append(int(i))
-    found: Solution | None = None
-    for i in chosen:
-        s, x = starts[i].copy(), np.zeros(structure.curves.size)
-        objective, iterations = _kernel.refine(*args, s, low, high, W, y, unit, x, 200)
-        if found is None or objective < found.objective:
+
+    structure: Structure
+    scale: NDArray[np.int64]
+    value: Array
+    n: int
+
+    def model(self, at: Solution) -> NoiseModel:
+        """The model at a solution."""
+        return self.structure.specified(at.coefficients, at.shapes)
+
+    def fitted(self, at: Solution) -> Array:
+        """The curve (J,) at a solution."""
+        return np.asarray(self.structure.columns(self.scale / 2.0, at.shapes)[0] @ at.coefficients)
+
+    def alive(self, at: Solution) -> int:
+        """Free parameters of the parts that have variance: a parameter at zero is not fitted, and neither is its shape."""
+        s = self.structure
+        parts = np.flatnonzero(at.coefficients > 0)
+        held = [np.isnan(s.held[s.offsets[k] : s.offsets[k + 1]]).sum() for k in parts]
+        return int((s.fixed[parts] < 0).sum() + sum(held))
+
+    def rows(self, which: NDArray[np.bool_]) -> Problem:
+        """The same at some of the scales."""
+        return replace(self, scale=self.scale[which], value=self.value[which])
+
+    def search(self, W: Array, starts: Array, *, refined: int = REFINED, flattened: bool = True) -> Solution:
+        """Minimise ``|W (value - model)|^2`` from the best of ``starts``.
+
+        Parameters
+        ----------
+        W : (rows, J) array
+        starts : (s, shapes) array
+        refined : int
+            How many of each ranking are refined.
+        flattened : bool
+            Also rank by equation (34).
+        """
+        structure = self.structure
+        m = self.scale / 2.0
+        y = W @ self.value
+        size = float(y @ y)
+        unit = np.where(structure.fixed < 0, -1.0, structure.fixed)
+        low, high = structure.bounds(self.n)
+        rank = np.empty(starts.shape[0])
+        args = (structure.curves, structure.orders, structure.offsets, m)
+        chosen: list[int] = []
+        if starts.shape[0] <= refined:
+            chosen = list(range(starts.shape[0]))
+        else:
+            rankings = [(W, y)]
+            if flattened:
+                rankings.append((np.diag(1.0 / self.value), np.ones(self.value.size)))
+            for rows, target in rankings:
+                _kernel.screen(*args, starts, np.ascontiguousarray(rows), target, unit, rank)
+                order = np.argsort(rank, kind="stable")
+                best = rank[order[0]]
+                for i in order[:refined]:
+                    if int(i) not in chosen and rank[i] <= 1e3 * best + 1e-6 * size:
+                        chosen.append(int(i))
+        found: Solution | None = None
+        for i in chosen:
+            s, x = starts[i].copy(), np.zeros(structure.curves.size)
+            objective, iterations = _kernel.refine(*args, s, low, high, W, y, unit, x, 200)
+            if found is None or objective < found.objective:
+                found = Solution(x, s, objective, iterations >= 0)
+        assert found is not None
+        if not found.converged:
+            s, x = found.shapes.copy(), np.zeros(structure.curves.size)
+            objective, iterations = _kernel.refine(*args, s, low, high, W, y, unit, x, 3000)
             found = Solution(x, s, objective, iterations >= 0)
-    assert found is not None
-    if not found.converged:
-        s, x = found.shapes.copy(), np.zeros(structure.curves.size)
-        objective, iterations = _kernel.refine(*args, s, low, high, W, y, unit, x, 3000)
-        found = Solution(x, s, objective, iterations >= 0)
-    coefficients, shapes = structure.sort(found.coefficients, found.shapes)
-    return Solution(coefficients, shapes, found.objective, found.converged)
+        coefficients, shapes = structure.sort(found.coefficients, found.shapes)
+        return Solution(coefficients, shapes, found.objective, found.converged)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from insemu.errors import InputError
 from insemu.fit.covariance import covariance_of_curve
 from insemu.fit.gmwm import drawn_values, fit_curve, parameter_covariance
-from insemu.fit.minimum import Solution, root_of_inverse, search
+from insemu.fit.minimum import Problem, Solution, root_of_inverse
 from insemu.fit.result import FitResult, estimates
 from insemu.fit.structure import Structure, natural_jacobian
 from insemu.noise import NoiseModel, Spread, with_factors
@@ -173,12 +173,12 @@ class _Runs:
     def minimum(self, roots: Sequence[Array], starts: Array) -> Solution:
         """The nearest common model from the best of some starts."""
         W = np.ascontiguousarray(scipy.linalg.block_diag(*roots))
-        return search(self.structure, self.scale, self.value, W, self.longest, starts)
+        return Problem(self.structure, self.scale, self.value, self.longest).search(W, starts)
 
     def each(self, roots: Sequence[Array], start: Array) -> list[Solution]:
         """The nearest model of every run from a common start."""
         return [
-            search(self.structure, c.scale_samples, c.value, W, c.n_samples, start[None, :])
+            Problem(self.structure, c.scale_samples, c.value, c.n_samples).search(W, start[None, :])
             for c, W in zip(self.curves, roots, strict=True)
         ]
 

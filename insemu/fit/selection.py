@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from insemu.errors import InputError
 from insemu.fit.covariance import covariance_of_curve
 from insemu.fit.gmwm import fit_curve, goodness_of_fit, interval_widths, refit
-from insemu.fit.minimum import Solution, root_of_inverse, search
+from insemu.fit.minimum import Problem, Solution, root_of_inverse
 from insemu.fit.result import Criterion, FitResult
 from insemu.fit.robust import cleaned_curve
 from insemu.fit.structure import Structure, natural_jacobian
@@ -206,8 +206,7 @@ def rank_models(
         raise InputError("no candidate model given; expected at least one")
     structures = [Structure.of(c, curve.rate_hz) for c in candidates]
     unrated = {id(s): c for s, c in zip(structures, candidates, strict=True)}
-    scale, value = curve.scale_samples, curve.value
-    if not (value > 0).all():
+    if not (curve.value > 0).all():
         raise InputError(f"{name}: the wavelet variance is zero at some scale; a constant signal has no noise to model")
     n = curve.n_samples
     V = _reference_covariance(curve, candidates if reference is None else [reference], efficiency)
@@ -215,30 +214,28 @@ def rank_models(
     use = freedom >= RANK_DOF
     while use.sum() < 2:  # a very short record: take what there is
         use[int(np.flatnonzero(~use)[0])] = True
-    scale, value = scale[use], value[use]
+    problems = [Problem(s, curve.scale_samples[use], curve.value[use], n) for s in structures]
     covariance = V[0][np.ix_(use, use)]
-    possible = [s for s in structures if s.free_parameters <= scale.size]
+    possible = [p for p in problems if p.structure.free_parameters <= p.scale.size]
     if not possible:
-        raise InputError(f"{name}: no candidate has as few parameters as the {scale.size} usable scales of this record")
+        raise InputError(f"{name}: no candidate has as few parameters as the {use.sum()} usable scales of this record")
 
-    def solve(covariance: Array) -> list[tuple[Structure, Solution, int]]:
+    def solve(covariance: Array) -> list[tuple[Problem, Solution]]:
         W = root_of_inverse(covariance)
 
-        def one(structure: Structure) -> Solution:
-            return search(structure, scale, value, W, n, structure.starts(n, 400), refined=4)
+        def one(problem: Problem) -> Solution:
+            return problem.search(W, problem.structure.starts(n, 400), refined=4)
 
         found = executor.map(one, possible) if executor is not None else map(one, possible)
-        return [(s, b, _alive(s, b, scale)) for s, b in zip(possible, found, strict=True)]
+        return list(zip(possible, found, strict=True))
 
-    alive = solve(covariance)
-    discrepancy = _discrepancy(alive, scale, value, covariance, n)
+    solved = solve(covariance)
+    discrepancy = _discrepancy(solved, covariance)
     if discrepancy > 0:
         covariance = (V[0] + np.diag((discrepancy * V[2]) ** 2))[np.ix_(use, use)]
-        alive = solve(covariance)
+        solved = solve(covariance)
     W = root_of_inverse(covariance)
-    ranked = [
-        _candidate(structure, best, p, scale, W, covariance, unrated[id(structure)]) for structure, best, p in alive
-    ]
+    ranked = [_candidate(problem, best, W, covariance, unrated[id(problem.structure)]) for problem, best in solved]
     ranked.sort(key=lambda c: (c.criterion.value, c.parameters))
 
     under = _Under(curve, use, discrepancy * V[2], efficiency)
@@ -254,18 +251,11 @@ def rank_models(
     return Ranking(name, tuple(ranked), chosen, result, discrepancy, _verdict(name, ranked, chosen, discrepancy))
 
 
-def _candidate(
-    structure: Structure,
-    best: Solution,
-    parameters: int,
-    scale: NDArray[np.int64],
-    W: Array,
-    covariance: Array,
-    unrated: NoiseModel,
-) -> Candidate:
+def _candidate(problem: Problem, best: Solution, W: Array, covariance: Array, unrated: NoiseModel) -> Candidate:
     """A solution with its criterion and test of fit."""
-    penalty = 2.0 * _optimism(structure, best, scale, W, covariance)
-    spare = scale.size - parameters
+    structure, parameters = problem.structure, problem.alive(best)
+    penalty = 2.0 * _optimism(problem, best, W, covariance)
+    spare = problem.scale.size - parameters
     excess = max(best.objective - spare, 0.0)
     error = math.sqrt(2.0 * max(spare, 0) + 4.0 * excess)
     p_value = float(scipy.special.chdtrc(spare, best.objective)) if spare > 0 else math.nan
@@ -276,7 +266,7 @@ def _candidate(
         Criterion(best.objective + penalty, error, penalty),
         p_value,
         parameters < structure.free_parameters,
-        structure.specified(best.coefficients, best.shapes),
+        problem.model(best),
     )
 
 
@@ -295,25 +285,22 @@ def _fit_of(
     return result
 
 
-def _discrepancy(
-    alive: list[tuple[Structure, Solution, int]], scale: NDArray[np.int64], value: Array, covariance: Array, n: int
-) -> float:
+def _discrepancy(solved: list[tuple[Problem, Solution]], covariance: Array) -> float:
     """Relative error per scale that makes the nearest candidate as distant as its degrees of freedom (method of moments); 0 where it fits.
 
     A real record has something that no candidate has (rounding, an averaging filter, temperature). Its short scales are so precise that
     this small misfit would outweigh everything at the long ones; taken as one more error per scale, it does not.
     """
-    structure, best, p = min(alive, key=lambda item: item[1].objective)
-    spare = max(scale.size - p, 1)
+    problem, best = min(solved, key=lambda item: item[1].objective)
+    spare = max(problem.scale.size - problem.alive(best), 1)
     if scipy.special.chdtrc(spare, best.objective) >= CHANCE:  # a fit blurred by a misfit that is none predicts worse
         return 0.0
-    fitted = structure.columns(scale / 2.0, best.shapes)[0] @ best.coefficients
-    size = np.diag(fitted**2)
-    starts = np.vstack([best.shapes[None, :], structure.starts(n, 200)])
+    size = np.diag(problem.fitted(best) ** 2)
+    starts = np.vstack([best.shapes[None, :], problem.structure.starts(problem.n, 200)])
 
     def excess(error: float) -> float:
         W = root_of_inverse(covariance + error**2 * size)
-        return search(structure, scale, value, W, n, starts, refined=3).objective - spare
+        return problem.search(W, starts, refined=3).objective - spare
 
     low, high = 1e-5, 1.0
     for _ in range(14):
@@ -330,30 +317,19 @@ def _reference_covariance(
     W = np.diag(1.0 / interval_widths(curve))
     best: tuple[float, NoiseModel] | None = None
     for reference in references:
-        structure = Structure.of(reference, curve.rate_hz)
-        found = search(structure, curve.scale_samples, curve.value, W, n, structure.starts(n, 400), refined=4)
+        problem = Problem(Structure.of(reference, curve.rate_hz), curve.scale_samples, curve.value, n)
+        found = problem.search(W, problem.structure.starts(n, 400), refined=4)
         if best is None or found.objective < best[0]:
-            best = found.objective, structure.specified(found.coefficients, found.shapes)
+            best = found.objective, problem.model(found)
     assert best is not None
     V = covariance_of_curve(best[1], curve) / efficiency
     fitted = best[1].wavelet_variance(curve.scale_samples, dt)
     return V, 2.0 * fitted**2 / np.diag(V), fitted
 
 
-def _alive(structure: Structure, best: Solution, scale: NDArray[np.int64]) -> int:
-    """Free parameters of the parts that have variance."""
-    out = 0
-    for k in range(structure.curves.size):
-        if best.coefficients[k] > 0:
-            held = structure.held[structure.offsets[k] : structure.offsets[k + 1]]
-            out += int(structure.fixed[k] < 0) + int(np.isnan(held).sum())
-    return out
-
-
-def _optimism(structure: Structure, best: Solution, scale: NDArray[np.int64], W: Array, V: Array) -> float:
+def _optimism(problem: Problem, best: Solution, W: Array, V: Array) -> float:
     """``tr(cov(curve, fitted) Omega)``: what the fit owes to having seen the curve."""
-    model = structure.specified(best.coefficients, best.shapes)
-    D, _ = natural_jacobian(model, structure, scale / 2.0)
+    D, _ = natural_jacobian(problem.model(best), problem.structure, problem.scale / 2.0)
     A = W @ D
     norm = np.linalg.norm(A, axis=0)
     A = A[:, norm > 0] / norm[norm > 0]
@@ -369,7 +345,6 @@ class _Under:
 
     def __init__(self, curve: WaveletVariance, use: NDArray[np.bool_], missed: Array, efficiency: float) -> None:
         self.curve, self.use, self.missed, self.efficiency = curve, use, missed, efficiency
-        self.scale, self.value = curve.scale_samples[use], curve.value[use]
         self._found: dict[int, tuple[Array, Array]] = {}
 
     def _weights(self, c: Candidate) -> tuple[Array, Array]:
@@ -379,13 +354,13 @@ class _Under:
             self._found[id(c)] = own, root_of_inverse(own[np.ix_(self.use, self.use)])
         return self._found[id(c)]
 
-    def _nearest(self, c: Candidate, W: Array) -> tuple[Structure, Solution]:
+    def _nearest(self, c: Candidate, W: Array) -> tuple[Problem, Solution]:
         structure, n = Structure.of(c.structure, self.curve.rate_hz), self.curve.n_samples
-        at = structure.internal(c.model)[1]
+        whole = Problem(structure, self.curve.scale_samples, self.curve.value, n)
+        at, used = structure.internal(c.model)[1], whole.rows(self.use)
         starts = np.vstack([at[None, :], structure.starts(n, 200)])
-        near = search(structure, self.scale, self.value, W, n, at[None, :])
-        wide = search(structure, self.scale, self.value, W, n, starts, refined=3)
-        return structure, min((near, wide), key=lambda solution: solution.objective)
+        near, wide = used.search(W, at[None, :]), used.search(W, starts, refined=3)
+        return whole, min((near, wide), key=lambda solution: solution.objective)
 
     def gain(self, simple: Candidate, rich: Candidate) -> float:
         """How much nearer the richer model is than the simpler one if the simpler one is true.
@@ -394,19 +369,15 @@ class _Under:
         of cube roots therefore keep their nominal distribution where a scale has ten degrees of freedom, too.
         """
         W = self._weights(simple)[1]
-        (at, one), (other, two) = self._nearest(simple, W), self._nearest(rich, W)
-        m = at.columns(self.scale / 2.0, one.shapes)[0] @ one.coefficients
-        f = other.columns(self.scale / 2.0, two.shapes)[0] @ two.coefficients
-        root = np.cbrt(self.value / m)
+        m, f = (problem.fitted(at)[self.use] for problem, at in (self._nearest(simple, W), self._nearest(rich, W)))
+        root = np.cbrt(self.curve.value[self.use] / m)
         far, near = W @ (3.0 * m * (root - 1.0)), W @ (3.0 * m * (root - np.cbrt(f / m)))
         return float(far @ far - near @ near)
 
     def accepted(self, c: Candidate) -> bool:
         """Whether the candidate's own test of fit holds at the level of chance."""
         own, W = self._weights(c)
-        structure, best = self._nearest(c, W)
-        n, dt = self.curve.n_samples, 1.0 / self.curve.rate_hz
-        test = goodness_of_fit(structure, best, self.curve.scale_samples, self.curve.value, own, n, dt)
+        test = goodness_of_fit(*self._nearest(c, W), own)
         return test is None or test.p_value >= CHANCE
 
 

@@ -24,7 +24,7 @@ from insemu.formats.curves import NamedCurve, read_curves
 from insemu.formats.handed import Fitted, hand_on, read_fitted
 from insemu.formats.npz import keys_of, load_npz
 from insemu.formats.opened import Opened, open_files
-from insemu.formats.programs import PROGRAMS, spell
+from insemu.formats.programs import PROGRAMS
 from insemu.formats.readers.imu_binary import LAYOUTS as IMU_BINARIES
 from insemu.formats.readers.imu_binary import write_imu_binary
 from insemu.formats.static import AXIS_OF_COLUMN, Log, round_rate
@@ -60,7 +60,6 @@ __all__ = [
     "read_static",
     "round_rate",
     "seconds_of_date",
-    "spell",
     "split_header",
     "start_said",
     "utc_of",

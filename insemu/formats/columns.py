@@ -32,38 +32,11 @@ ROLES: Mapping[str, tuple[int, str]] = {
     "vel_std_ned": (3, "m/s"), "vel_std_enu": (3, "m/s"), "vel_std_h": (1, "m/s"), "quality": (1, ""),
     "rpy": (3, "rad"), "roll": (1, "rad"), "pitch": (1, "rad"), "heading": (1, "rad"), "quaternion": (4, ""), "quaternion_xyzw": (4, ""),
 }  # fmt: skip
-#: Setting -> what it says.
-SETTINGS: Mapping[str, str] = {
-    "axes": "three letters for where x, y and z point: FRD, FLU, RFU (forward/back, right/left, up/down)",
-    "kind": "sample, mean or increment",
-    "clock": "gps, sow or unix",
-    "rate": "sampling rate where there are no stamps, such as 100 Hz",
-    "origin": "latitude and longitude in deg and height in m of local coordinates, such as 48.1 11.5 500",
-    "mount": "roll, pitch and yaw from IMU to vehicle axes in deg, such as 180 0 90",
-    "shift": "seconds to add to the stamps of the IMU, such as -0.2 s",
-    "gyro_shift": "seconds to add to the stamps of the gyroscope alone, where it comes late against the accelerometer",
-    "accel_shift": "seconds to add to the stamps of the accelerometer alone",
-    "gnss_shift": "seconds to add to the stamps of the fixes",
-    "gnss_move": "metres north, east and down to move the positions of the fixes by, such as 0 0 -47.3",
-    "from": "first time to keep, s from the start of the recording",
-    "to": "last time to keep, s from the start of the recording",
-    "topic": "the topic of the IMU, where a bag has several",
-    "gnss_topic": "the topic of the fixes, where a bag has several",
-    "instance": "which of several sensors of one kind, from 0",
-    "imu": "type of a binary .imu file, such as LN200",
-    "attitude": "ned or enu: which frame a quaternion turns the body into",
-    "gyro_unit": "what the numbers of the gyroscope really are, such as deg/s",
-    "accel_unit": "what the numbers of the accelerometer really are, such as g",
-    "time_unit": "what the stamps really are: s, ms, us or ns",
-    "pos_unit": "what latitude and longitude really are: deg, rad, 1e-7 deg, ddmm (4530.5) or dd.mm (45.305)",
-    "vel_unit": "what the velocities really are, such as knots",
-    "velocity": "ned, enu or neu: what the three components of the velocity really are",
-    "latlon": "swapped, where the latitude stands in the column of the longitude; west or south, where longitudes count west or latitudes south",
-    "height_unit": "what the heights really are, such as ft",
-    "gyro_axes": "which columns of the gyroscope are x, y and z, such as y x z or -x -y -z",
-    "accel_axes": "which columns of the accelerometer are x, y and z, such as x -y z",
-    "contradictions": "accepted, where the recording is right although it contradicts physics: they are said and refuse nothing",
-}
+#: Settings of a map; the table of ``docs/files.md`` says what each means.
+SETTINGS = (
+    "axes kind clock rate origin mount shift gyro_shift accel_shift gnss_shift gnss_move from to topic gnss_topic instance imu attitude "
+    "gyro_unit accel_unit time_unit pos_unit vel_unit velocity latlon height_unit gyro_axes accel_axes contradictions"
+).split()
 #: Role -> the setting that says its unit against what the file states.
 UNIT_SETTING: Mapping[str, str] = {
     "time": "time_unit", "gyro": "gyro_unit", "accel": "accel_unit", "lat": "pos_unit", "lon": "pos_unit",

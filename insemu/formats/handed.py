@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from insemu import noise, yamlfile
 from insemu.errors import InputError, nearest
-from insemu.formats.programs import ENDLESS, PROGRAMS, Triad, reduce_models
+from insemu.formats.programs import ENDLESS, PROGRAMS, Triad, reduce_models, spelled
 from insemu.noise import GM, RW, WN, NoiseModel, process_label
 
 Array = NDArray[np.float64]
@@ -171,7 +171,7 @@ def hand_on(
         if found is None:
             raise InputError(_refusal(sensor, triad, wanted, program, shared))
         out[sensor] = found
-    return PROGRAMS[program](out, rate_hz), [*said, *notes]
+    return spelled(program, out, rate_hz), [*said, *notes]
 
 
 def _wanted(fits: Sequence[Fitted], rate_hz: float, record_s: float) -> _Wanted:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from insemu import earth, rotation
 from insemu.errors import InputError
 from insemu.formats.clocks import GPS_EPOCH, WEEK, leap_seconds, utc_of
+from insemu.formats.filled import filled
 from insemu.formats.text import write_table
 from insemu.records import GnssRecord, Trajectory
 from insemu.stamps import OWN, Origin
@@ -90,7 +92,7 @@ def _tum(way: Way, path: Path) -> None:
     swap, body = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.diag([1.0, -1.0, -1.0])
     q = rotation.quaternion_from_dcm(swap @ rotation.dcm_from_rpy(way.rpy) @ body)
     block = np.column_stack([way.t, ned[:, [1, 0, 2]] * [1.0, 1.0, -1.0], q[:, [1, 2, 3, 0]]])
-    lat, lon, h = way.llh[0] * [180 / np.pi, 180 / np.pi, 1.0]
+    lat, lon, h = _degrees(way.llh[0])
     head = f"# timestamp tx ty tz qx qy qz qw; origin={lat:.12g} {lon:.12g} {h:.12g}\n"
     put(path, head + "\n".join(" ".join(f"{v:.12g}" for v in row) for row in block) + "\n")
     if way.sigma is not None:
@@ -109,40 +111,15 @@ def _stamps(way: Way, path: Path) -> list[str]:
 
 
 def _gpx(way: Way, path: Path) -> None:
-    degrees = way.llh * [180 / np.pi, 180 / np.pi, 1.0]
-    points = "\n".join(
-        f'<trkpt lat="{p[0]:.10f}" lon="{p[1]:.10f}"><ele>{p[2]:.4f}</ele><time>{t}</time></trkpt>'
-        for t, p in zip(_stamps(way, path), degrees, strict=True)
-    )
-    space = 'version="1.1" creator="insemu" xmlns="http://www.topografix.com/GPX/1/1"'
-    put(
-        path,
-        f'<?xml version="1.0" encoding="UTF-8"?>\n<gpx {space}><trk><name>{escape(way.name)}</name><trkseg>\n{points}\n</trkseg></trk></gpx>\n',
-    )
+    points = [(*p, t) for p, t in zip(_degrees(way.llh), _stamps(way, path), strict=True)]
+    put(path, filled("track.gpx", name=escape(way.name), points=points))
 
 
 def _kml(way: Way, path: Path) -> None:
     """The whole track with times, and every outage as a red line over it."""
-    degrees = way.llh * [180 / np.pi, 180 / np.pi, 1.0]
+    outages = [_places(way.llh[(way.t >= start) & (way.t <= end)]) for start, end in way.outages]
     stamps = _stamps(way, path)
-    whens = "".join(f"<when>{t}</when>" for t in stamps)
-    coords = "".join(f"<gx:coord>{p[1]:.10f} {p[0]:.10f} {p[2]:.4f}</gx:coord>" for p in degrees)
-    absolute = "<altitudeMode>absolute</altitudeMode>"
-    track = f"<gx:Track>{absolute}{whens}{coords}</gx:Track>"
-    parts = [f"<Placemark><name>{escape(way.name)}</name><styleUrl>#way</styleUrl>{track}</Placemark>"]
-    for k, (start, end) in enumerate(way.outages, start=1):
-        places = _places(way.llh[(way.t >= start) & (way.t <= end)])
-        line = f"<LineString>{absolute}<coordinates>{places}</coordinates></LineString>"
-        parts.append(f"<Placemark><name>outage {k}</name><styleUrl>#outage</styleUrl>{line}</Placemark>")
-    styles = "".join(
-        f'<Style id="{name}"><LineStyle><color>{colour}</color><width>{width}</width></LineStyle></Style>'
-        for name, colour, width in (("way", "ffff7f00", 3), ("outage", "ff0000ff", 6))
-    )
-    space = 'xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"'
-    put(
-        path,
-        f'<?xml version="1.0" encoding="UTF-8"?>\n<kml {space}><Document>{styles}{"".join(parts)}</Document></kml>\n',
-    )
+    put(path, filled("track.kml", name=escape(way.name), stamps=stamps, degrees=_degrees(way.llh), outages=outages))
 
 
 #: Colours of ways in an overlay (red, green, blue): the reference white, designs as in the charts.
@@ -163,47 +140,35 @@ def write_overlay(ways: Sequence[Way], path: Path) -> Path:
     """
     if path.suffix.lower() != ".kml":
         raise InputError(f"cannot write '{path.suffix}' overlays, expected .kml", where=str(path))
-    styles, folders = [], []
+    shown = []
     for k, way in enumerate(ways):
-        rgb = _OVERLAY[k % len(_OVERLAY)]
-        bgr = rgb[4:] + rgb[2:4] + rgb[:2]
-        fill = f"<PolyStyle><color>40{bgr}</color></PolyStyle>"
-        for name, width in (("way", 2), ("outage", 5)):
-            drawn = f"<LineStyle><color>ff{bgr}</color><width>{width}</width></LineStyle>"
-            styles.append(f'<Style id="{name}{k}">{drawn}{fill}</Style>')
-        parts = [_line("way", way.llh, f"way{k}")]
+        red, green, blue = re.findall("..", _OVERLAY[k % len(_OVERLAY)])
+        outages = []
         for n, (start, end) in enumerate(way.outages, start=1):
             inside = np.flatnonzero((way.t >= start) & (way.t <= end))
-            if inside.size < 2:
-                continue
-            parts.append(_line(f"outage {n}", way.llh[inside], f"outage{k}"))
-            if way.sigma is not None:
-                last = inside[-1]
-                angle = np.linspace(0.0, 2.0 * np.pi, _CORNERS + 1)
-                ring = 3.0 * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle]) * way.sigma[last]
-                places = _places(np.array([earth.ned_to_llh(corner, way.llh[last]) for corner in ring]))
-                shape = (
-                    f"<outerBoundaryIs><LinearRing><coordinates>{places}</coordinates></LinearRing></outerBoundaryIs>"
-                )
-                parts.append(
-                    f"<Placemark><name>outage {n}: 3 sigma at its end</name><styleUrl>#way{k}</styleUrl><Polygon>{shape}</Polygon></Placemark>"
-                )
-        folders.append(f"<Folder><name>{escape(way.name)}</name>{''.join(parts)}</Folder>")
-    space = 'xmlns="http://www.opengis.net/kml/2.2"'
-    put(
-        path,
-        f'<?xml version="1.0" encoding="UTF-8"?>\n<kml {space}><Document>{"".join(styles)}{"".join(folders)}</Document></kml>\n',
-    )
+            if inside.size >= 2:
+                outages.append((n, _places(way.llh[inside]), _ellipse(way, inside[-1])))
+        about = {"name": escape(way.name), "places": _places(way.llh), "outages": outages}
+        shown.append({"bgr": blue + green + red, **about})
+    put(path, filled("overlay.kml", ways=shown))
     return path
 
 
+def _ellipse(way: Way, k: int) -> str:
+    """The stated 3-sigma ellipse at an epoch; nothing where nothing is stated."""
+    if way.sigma is None:
+        return ""
+    angle = np.linspace(0.0, 2.0 * np.pi, _CORNERS + 1)
+    ring = 3.0 * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle]) * way.sigma[k]
+    return _places(np.array([earth.ned_to_llh(corner, way.llh[k]) for corner in ring]))
+
+
+def _degrees(llh: Array) -> Array:
+    return np.asarray(llh * [180 / np.pi, 180 / np.pi, 1.0])
+
+
 def _places(llh: Array) -> str:
-    return " ".join(f"{p[1]:.10f},{p[0]:.10f},{p[2]:.4f}" for p in llh * [180 / np.pi, 180 / np.pi, 1.0])
-
-
-def _line(name: str, llh: Array, style: str) -> str:
-    line = f"<LineString><tessellate>1</tessellate><coordinates>{_places(llh)}</coordinates></LineString>"
-    return f"<Placemark><name>{name}</name><styleUrl>#{style}</styleUrl>{line}</Placemark>"
+    return " ".join(f"{p[1]:.10f},{p[0]:.10f},{p[2]:.4f}" for p in _degrees(llh))
 
 
 def _pos(way: Way, path: Path) -> None:
@@ -212,7 +177,7 @@ def _pos(way: Way, path: Path) -> None:
     gps = way.utc - GPS_EPOCH + leap_seconds(float(way.utc[0]))
     week = np.floor(gps / WEEK)
     sigma = way.sigma if way.sigma is not None else np.full((way.t.size, 3), np.nan)
-    degrees = way.llh * [180 / np.pi, 180 / np.pi, 1.0]
+    degrees = _degrees(way.llh)
     velocity = "" if way.velocity is None else "    vn(m/s)    ve(m/s)    vu(m/s)"
     head = "% program   : insemu\n% (lat/lon/height=WGS84/ellipsoidal,Q=1:fix,2:float,3:sbas,4:dgps,5:single,6:ppp)\n"
     head += "%  GPST          latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio"
@@ -234,7 +199,7 @@ def _pos(way: Way, path: Path) -> None:
 
 def _csv(way: Way, path: Path) -> None:
     header = ["t [s]", "lat [deg]", "lon [deg]", "h [m]"]
-    blocks = [way.t[:, None], way.llh * [180 / np.pi, 180 / np.pi, 1.0]]
+    blocks = [way.t[:, None], _degrees(way.llh)]
     for values, names, factor in (
         (way.velocity, ("vn [m/s]", "ve [m/s]", "vd [m/s]"), 1.0),
         (way.rpy, ("roll [deg]", "pitch [deg]", "heading [deg]"), 180 / np.pi),

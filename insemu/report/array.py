@@ -114,12 +114,11 @@ def render_array(found: ArrayFit, path: str | Path, *, source: str = "") -> Path
         said = [f"{a} of {one} and {two} are not independent (p {p:.1g})" for a, one, two, p in found.dependent]
         sections.append(page.Section("Not independent", [page.Items(said)]))
     cards = [_card(w) for w in found.weightings]
-    return page.render(
+    return page.Page(
         f"Array of {len(found.units)} IMUs",
         sections,
-        path,
         kind="array",
         source=source,
         answer=array_answer(found),
         cards=cards,
-    )
+    ).write(path)

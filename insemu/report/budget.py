@@ -153,14 +153,13 @@ def render_budgets(
         "Where the error comes from",
         [budget_chart(budgets, by), growth(analyses, windows), page.Folded("Every part", [budget_table(budgets)])],
     )
-    return page.render(
+    return page.Page(
         f"Error budget: {title}",
         [where],
-        Path(folder) / "index.html",
         kind="compare",
         source=source,
         answer=f"{best} has the smallest error at the end of the last outage: {last[best]['rms_m']:.3g} m, of which it states "
         f"{last[best]['predicted_sigma_m']:.3g}.",
         lead="Covariance analysis of truth and belief together; nothing was drawn.",
         cards=cards,
-    )
+    ).write(Path(folder) / "index.html")

@@ -6,9 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from insemu.report.characterise_charts import (
     allan_chart,
     correlation_chart,
@@ -19,62 +16,15 @@ from insemu.report.characterise_charts import (
     wavelet_chart,
 )
 from insemu.report.charts import Chart
-from insemu.report.page import Block, Card, Items, Section, Table, Text, render
-from insemu.report.style import COLOURS, pyplot, style
+from insemu.report.page import Block, Card, Items, Page, Section, Table, Text
 from insemu.variance import duration, grouped_findings
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure as MplFigure
-
     from insemu.formats import NamedCurve
     from insemu.variance import AxisReport
 
-Array = NDArray[np.float64]
-
 #: Readings that the answer tells: white noise, flat part, random walk.
 MAIN = ("N", "B", "K")
-
-
-def covariance_check(tau: Array, theory: Array, drawn: Array, draws: int, title: str) -> MplFigure:
-    """Asymptotic against drawn covariance of wavelet variances: standard deviations and correlations (Figs. 3 and 4 of Stebler et al. 2014).
-
-    Parameters
-    ----------
-    tau : (J,) array
-        Scales in samples.
-    theory, drawn : (J, J) arrays
-        Covariances.
-    draws : int
-        Number of draws behind ``drawn``.
-    title : str
-        Process and length.
-    """
-    with style():
-        figure: MplFigure
-        figure, (left, right) = pyplot().subplots(1, 2, figsize=(10.5, 4.2))
-        left.loglog(tau, np.sqrt(np.diag(theory)), "-", color=COLOURS[0], label="theory, exact finite-record sum")
-        left.loglog(
-            tau,
-            np.sqrt(np.diag(drawn)),
-            "o",
-            color=COLOURS[1],
-            ms=5,
-            mfc="none",
-            label=f"{draws:,} draws".replace(",", " "),
-        )
-        left.set(xlabel="scale (samples)", ylabel="standard deviation of the wavelet variance", title=title)
-        left.legend()
-        a = theory / np.sqrt(np.outer(np.diag(theory), np.diag(theory)))
-        b = drawn / np.sqrt(np.outer(np.diag(drawn), np.diag(drawn)))
-        for k in range(len(tau)):
-            right.semilogx(tau, a[k], "-", color=COLOURS[k % len(COLOURS)], lw=1.2)
-            right.semilogx(tau, b[k], "o", color=COLOURS[k % len(COLOURS)], ms=4, mfc="none")
-        right.set(
-            xlabel="scale (samples)",
-            ylabel="correlation with each scale",
-            title="Correlations: lines theory, rings draws",
-        )
-    return figure
 
 
 def _card(axis: AxisReport) -> Card:
@@ -235,17 +185,15 @@ def render_characterisation(
         *_section("Spectrum", [spectrum_chart(members, of) for of, members in varied]),
         *_section("Correlation", [correlation_chart(members, of) for of, members in correlated]),
     ]
-    return render(
+    return Page(
         f"Characterisation of {Path(source).name}",
         sections,
-        Path(folder) / "index.html",
         kind="characterise",
         source=source,
         answer=characterise_answer(axes),
         lead=lead,
         cards=[_card(axis) for axis in axes],
-        pictures=True,
-    )
+    ).write(Path(folder) / "index.html", pictures=True)
 
 
 def _section(title: str, charts: Sequence[Chart]) -> list[Section]:

@@ -94,7 +94,7 @@ def render_comparison(
         word, tone = _difference(r)
         notes = [f"rank {r.rank}" + ("" if r.low is None else f"; ratio {r.ratio:.3f} ({r.low:.3f} to {r.high:.3f})")]
         cards.append(page.Card(r.design, f"{r.mean_m:.3g} m", word[:1].upper() + word[1:], tone, notes))
-    return page.render(
+    return page.Page(
         f"Designs side by side: {results.title}",
         [
             page.Section(
@@ -102,14 +102,13 @@ def render_comparison(
             ),
             page.Section("Errors", [end_chart(results), error_chart(results)]),
         ],
-        Path(folder) / "index.html",
         kind="compare",
         source=source,
         answer=comparison_answer(rows, base),
         lead=f"Planimetric error at outage end, {count_of(results.realizations, 'realization')} in which every design flies the same data, "
         f"against {base}.",
         cards=cards,
-    )
+    ).write(Path(folder) / "index.html")
 
 
 def _ratio_chart(rows: Sequence[ComparisonRow], names: Sequence[str], base: str) -> Chart:
@@ -223,13 +222,12 @@ def render_regression(
     )
     tables = [page.Table(header, [row(c) for c in changed], "What changed", left=2)] if changed else []
     every = page.Folded("Every figure", [page.Table(header, [row(c) for c in changes], left=2)])
-    return page.render(
+    return page.Page(
         "Designs against their baseline",
         [page.Section("What changed", [*tables, chart, every]), *more],
-        path,
         kind="regress",
         source=source,
         answer=regression_answer(changes, false_alarm),
         lead="; ".join(f"{key} {value}" for key, value in (about or {}).items()),
         cards=cards,
-    )
+    ).write(path)

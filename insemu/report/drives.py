@@ -9,7 +9,7 @@ import numpy as np
 
 from insemu.drives import ALIKE_DB, Comparison, LearnedVehicle, unit_of
 from insemu.records import AXES
-from insemu.report.page import Card, Items, Section, Table, Text, render
+from insemu.report.page import Card, Items, Page, Section, Table, Text
 
 Cells = tuple[list[str], list[list[str]]]
 #: Bands in which the motion of a vehicle is shown, Hz.
@@ -87,9 +87,9 @@ def render_drives(found: Comparison, path: str | Path, recorded: str, emulated: 
         Section("What was assumed", [Items(list(found.said))]),
     ]
     title = f"{Path(emulated).name} against {Path(recorded).name}"
-    return render(
-        title, sections, path, kind="compare-drives", source=recorded, answer=drives_answer(found), cards=cards
-    )
+    return Page(
+        title, sections, kind="compare-drives", source=recorded, answer=drives_answer(found), cards=cards
+    ).write(path)
 
 
 def vehicle_rows(found: LearnedVehicle) -> Cells:

@@ -22,7 +22,7 @@ from insemu.report.experiment_charts import (
     outage_charts,
     smoother_chart,
 )
-from insemu.report.page import Block, Card, Code, Folded, Items, Section, Table, Text, render
+from insemu.report.page import Block, Card, Code, Folded, Items, Page, Section, Table, Text
 from insemu.report.tables import (
     FIGURES,
     SMOOTHED,
@@ -140,10 +140,9 @@ def render_experiment(
         sections.append(_published(main, variants, text.get("source", "")))
     sections.append(Section("What each design believes", [Folded("Every parameter", _beliefs(main))]))
     sections.append(Section("How it was made", _made(main, text.get("notes", ""))))
-    return render(
+    return Page(
         main.title,
         sections,
-        folder / "index.html",
         kind="run",
         source=str(main.manifest.get("scenario_file", "")),
         answer=said.sentence if said else "",
@@ -151,8 +150,7 @@ def render_experiment(
             part for part in (text.get("question", ""), f"{count_of(main.realizations, 'realization')}.") if part
         ),
         cards=[_card(s, main) for s in said.standings] if said else (),
-        pictures=pictures,
-    )
+    ).write(folder / "index.html", pictures=pictures)
 
 
 def _accuracy(main: Results) -> list[Section]:

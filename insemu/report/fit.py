@@ -240,36 +240,48 @@ def render_fits(
         page.Section("Detail", [_detail(axis, r, ranked.get(axis)) for axis, r in results.items()]),
     ]
     word = "Chosen" if ranked else "Fitted"
-    return page.render(
+    return page.Page(
         f"{word} noise models" + (f" of {Path(source).name}" if source else ""),
         sections,
-        path,
         kind="select" if ranked else "fit",
         source=source,
         answer=fits_answer(results),
         cards=verdict_cards(results),
-    )
+    ).write(path)
 
 
-def ranking_table(ranking: Ranking, most: int = 12) -> page.Table:
-    """The best candidates by criterion, and the chosen one."""
+def ranking_rows(
+    ranking: Ranking, most: int = 12, *, unknown: str = "-"
+) -> tuple[Sequence[str], Sequence[Sequence[str]], int]:
+    """Header and rows of the best candidates, and the row of the chosen one, which is always among them.
+
+    Parameters
+    ----------
+    ranking : Ranking
+    most : int
+        Rows, unless the chosen one comes after them.
+    unknown : str
+        What stands for a p-value that there is not.
+    """
     listed = [c for c in ranking.candidates if not c.vanished][:most]
     if ranking.chosen not in listed:
         listed.append(ranking.chosen)
-    strong = frozenset(i for i, c in enumerate(listed) if c is ranking.chosen)
     rows = [
         (
             str(c.structure),
             str(c.parameters),
             f"{c.criterion.value:.1f} ± {c.criterion.standard_error:.1f}",
             f"{c.objective:.1f}",
-            f"{c.p_value:.2g}" if np.isfinite(c.p_value) else "-",
+            f"{c.p_value:.2g}" if np.isfinite(c.p_value) else unknown,
         )
         for c in listed
     ]
-    return page.Table(
-        ("model", "parameters", "criterion ± standard error", "distance", "p of the test of fit"),
-        rows,
-        strong=strong,
-        caption=f"{len(ranking.candidates)} candidates by the wavelet information criterion; the chosen one is set in bold",
-    )
+    header = ("model", "parameters", "criterion ± standard error", "distance", "p of the test of fit")
+    return header, rows, next(k for k, c in enumerate(listed) if c is ranking.chosen)
+
+
+def ranking_table(ranking: Ranking) -> page.Table:
+    """The best candidates; the chosen one is set in bold."""
+    header, rows, chosen = ranking_rows(ranking)
+    said = f"{len(ranking.candidates)} candidates by the wavelet information criterion; the chosen one is set in bold"
+    return page.Table(header, rows, said, strong=frozenset({chosen}))

@@ -146,12 +146,11 @@ def render_following(results: Mapping[str, FollowingFit], path: str | Path, *, s
         if len(sentences) > TOLD
         else f"{'. '.join(sentences)}."
     )
-    return page.render(
+    return page.Page(
         "Noise that follows a covariate" + (f": {Path(source).name}" if source else ""),
         sections,
-        path,
         kind="fit",
         source=source,
         answer=answer,
         cards=verdict_cards(fits),
-    )
+    ).write(path)

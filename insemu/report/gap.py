@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from insemu.effects import AID_KINDS, EFFECTS
-from insemu.report.charts import Chart
+from insemu.report.charts import Chart, asset
 from insemu.report.gap_charts import evidence_chart, innovation_chart, spectrum_chart, wavelet_chart
-from insemu.report.page import Block, Card, Code, Folded, Items, Section, Table, Text, render
+from insemu.report.page import Block, Card, Code, Folded, Items, Page, Section, Table, Text
 from insemu.report.static import save
 from insemu.units import datasheet
 
@@ -61,54 +61,7 @@ def _class_names(finding: Finding) -> list[str]:
 
 
 #: What to do about an effect; ``{}`` stands for its first parameters.
-_ACTIONS = {
-    "white_noise": "set the white noise to {}",
-    "random_walk": "add a random walk of {}",
-    "gauss_markov": "add a Gauss-Markov process of {}",
-    "flicker": "add bias instability of {}",
-    "quantization": "add quantization of {}",
-    "telegraph": "add telegraph noise of {}; no calibration takes it off",
-    "turn_on_bias": "take the bias off: {}",
-    "bias_step": "find what made the bias jump, or make its state uncertain there: {}",
-    "ramp": "take the drift off: {}",
-    "scale_factor": "correct the scale factor: {}",
-    "misalignment": "correct the misalignment: {}",
-    "temperature": "calibrate over temperature: {}",
-    "vibration_line": "damp the mount or filter: {}",
-    "vibration_band": "damp the mount or raise the white noise: {}",
-    "outliers": "reject single samples: {}",
-    "saturation": "use a wider range: {}",
-    "dropped_samples": "repair the logger, or compensate dropped_samples: {}",
-    "decimation_filter": "model the low-pass: {}",
-    "imu_gnss_time_offset": "shift the stamps by {}",
-    "gnss_velocity_lag": "use the velocities of the fixes earlier than stamped by {}",
-    "gnss_position_filter": "undo the filtering of the positions of the fixes: {}",
-    "gnss_velocity_filter": "undo the smoothing of the velocities of the fixes: {}",
-    "clock_drift": "correct the clock by {}",
-    "lever_arm_step": "find what moved the antenna, or correct the lever arm from there on by {}",
-    "lever_arm": "correct the lever arm by {}",
-    "mounting": "turn the IMU's axes by {}",
-    "gnss_noise_level": "multiply the stated standard deviations of the positions by {}",
-    "gnss_velocity_noise": "multiply the stated standard deviations of the velocities by {}",
-    "gnss_correlated_noise": "add slow errors to the fixes{follows}: {}",
-    "gnss_outliers": "gate the fixes: {}",
-    "gnss_velocity_outliers": "gate the velocities of the fixes: {}",
-    "gnss_multipath_step": "leave these fixes out: {}",
-    "odometer_scale_factor": "correct the wheel's scale factor: {}",
-    "odometer_misalignment": "turn the odometer's axes by {}",
-    "barometer_offset": "take {} off the barometric height",
-    "barometer_scale_factor": "correct the scale factor of the barometric height: {}",
-    "heading_offset": "take {} off the heading",
-    "heading_deviation": "compensate the compass: {}",
-    "aid_lag": "use the measurements earlier than stamped by {}",
-    "odometer_noise_level": "multiply the odometer's standard deviations by {}",
-    "barometer_noise_level": "multiply the barometer's standard deviation by {}",
-    "heading_noise_level": "multiply the heading's standard deviation by {}",
-    "odometer_correlated_noise": "trust the odometer less, its errors last: {}",
-    "barometer_correlated_noise": "trust the barometer less, its errors last: {}",
-    "heading_correlated_noise": "trust the heading less, its errors last: {}",
-    "aid_outliers": "gate the measurements: {}",
-}
+_ACTIONS = dict(line.split(" | ") for line in asset("actions.txt").splitlines() if line)
 
 
 def shown_value(value: Value) -> Value:
@@ -521,15 +474,14 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
         Section("Agreement with the refined model", [index, *left, *_pictures(report, after=True)]),
         *([Section("The refined model", [Folded("refined.yaml", [Code(refined)])])] if refined else []),
     ]
-    return render(
+    return Page(
         f"The gap between simulation and measurement: {Path(report.source).name}",
         sections,
-        folder / "index.html",
         kind="gap",
         source=report.source,
         answer=gap_headline(report),
         cards=[_better(report), *(_card(report, n, s) for n, s in report.numbered()[:FIRST_SCREEN])],
-    )
+    ).write(folder / "index.html")
 
 
 def gap_charts(report: GapReport) -> list[Chart]:

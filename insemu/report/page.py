@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import os
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from jinja2 import Environment, StrictUndefined, Template
 from markupsafe import Markup
@@ -18,11 +15,8 @@ from markupsafe import Markup
 from insemu import __version__
 from insemu.progress import say_once
 from insemu.report.charts import Chart, Ledger, asset, embedded, script, script_hash
-from insemu.report.style import NO_MATPLOTLIB, can_draw, pyplot
+from insemu.report.style import NO_MATPLOTLIB, can_draw
 from insemu.whole import put
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as MplFigure
 
 
 @dataclass(frozen=True)
@@ -53,24 +47,6 @@ class Table:
     strong: frozenset[int] = frozenset()
     wrap: bool = False
     heat: Sequence[Sequence[float | None]] = ()
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A picture (PNG bytes) with its caption, which also serves readers who cannot see it."""
-
-    png: bytes
-    caption: str
-
-    @classmethod
-    def of(cls, figure: MplFigure, caption: str, dpi: int = 130) -> Figure:
-        """Render a matplotlib figure and close it."""
-        plt = pyplot()
-
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=dpi)
-        plt.close(figure)
-        return cls(buffer.getvalue(), caption)
 
 
 @dataclass(frozen=True)
@@ -122,7 +98,7 @@ class Form:
     blocks: Sequence[Block]
 
 
-Block = Form | Text | Items | Table | Ledger | Figure | Code | Chart | Folded
+Block = Form | Text | Items | Table | Ledger | Code | Chart | Folded
 
 
 @dataclass(frozen=True)
@@ -131,37 +107,6 @@ class Section:
 
     title: str
     blocks: Sequence[Block]
-
-
-@dataclass(frozen=True)
-class About:
-    """What a page is about, for its head and for the list of pages (`insemu serve`).
-
-    Parameters
-    ----------
-    kind : str
-        Command that made it.
-    title, answer, source : str
-        Of the page; ``source`` is the file that was asked about.
-    cards : sequence of Card
-    """
-
-    kind: str
-    title: str
-    answer: str
-    source: str
-    cards: Sequence[Card] = ()
-
-    @property
-    def line(self) -> str:
-        """File, date and version in one line."""
-        return ", ".join(x for x in (self.source and Path(self.source).name, made_on(), f"insemu {__version__}") if x)
-
-    @property
-    def json(self) -> str:
-        """As the list of pages reads it."""
-        verdicts = [[c.title, c.value, c.verdict, c.tone] for c in self.cards]
-        return embedded({"insemu": __version__, "made": made_on(), **vars(self), "cards": verdicts})
 
 
 def made_on() -> str:
@@ -188,86 +133,72 @@ def _template() -> Template:
     return Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True).from_string(asset("page.html"))
 
 
-def document(
-    title: str,
-    sections: Sequence[Section],
-    *,
-    kind: str,
-    source: str = "",
-    answer: str = "",
-    lead: str = "",
-    cards: Sequence[Card] = (),
-    footer: str = "",
-    forms: bool = False,
-) -> str:
-    """The page as HTML.
+@dataclass(frozen=True)
+class Page:
+    """A page: what is on it, and what it says of itself. Texts are plain; they are escaped.
 
     Parameters
     ----------
-    title, sections, kind, source, answer, lead, cards, footer
-        See :func:`render`.
-    forms : bool
-        Whether the page may send what a :class:`Form` holds to the server that it came from.
-    """
-    return _template().render(
-        title=title,
-        about=About(kind, title, answer, source, cards),
-        answer=answer,
-        lead=lead,
-        cards=cards,
-        footer=footer,
-        sections=sections,
-        style=Markup(asset("page.css", "uPlot.min.css")),
-        script=Markup(script()),
-        script_hash=script_hash(),
-        forms=Markup("'self'" if forms else "'none'"),
-        safe=Markup,  # JSON of a chart escapes what could close a tag
-        base64=lambda data: base64.b64encode(data).decode("ascii"),
-    )
-
-
-def render(
-    title: str,
-    sections: Sequence[Section],
-    path: str | Path,
-    *,
-    kind: str,
-    source: str = "",
-    answer: str = "",
-    lead: str = "",
-    cards: Sequence[Card] = (),
-    footer: str = "",
-    pictures: bool = False,
-) -> Path:
-    """Write the page.
-
-    Parameters
-    ----------
-    title, answer, lead, footer : str
-        Plain text; escaped like all other text. ``answer`` is the one sentence that the reader came for.
+    title : str
     sections : sequence of Section
-    path : path
-        File to write; its folder is made.
     kind, source : str
         Command that makes the page, and the file that it was asked about.
+    answer : str
+        The one sentence that the reader came for.
+    lead : str
+        What stands below it.
     cards : sequence of Card
         Verdicts, below the answer.
-    pictures : bool
-        Whether every chart is also written as PNG and SVG into the folder ``figures`` next to the page.
-
-    Returns
-    -------
-    Path
-        The file.
     """
-    html = document(title, sections, kind=kind, source=source, answer=answer, lead=lead, cards=cards, footer=footer)
-    path = Path(path)
-    if pictures and (charts := charts_of(sections)):
-        if can_draw():
-            from insemu.report.static import save
 
-            save(charts, path.parent / "figures")
-        else:
-            say_once(f"No charts as PNG and SVG next to the page: {NO_MATPLOTLIB}")
-    put(path, html)
-    return path
+    title: str
+    sections: Sequence[Section]
+    kind: str
+    source: str = ""
+    answer: str = ""
+    lead: str = ""
+    cards: Sequence[Card] = ()
+
+    @property
+    def line(self) -> str:
+        """File, date and version in one line."""
+        return ", ".join(x for x in (self.source and Path(self.source).name, made_on(), f"insemu {__version__}") if x)
+
+    @property
+    def json(self) -> str:
+        """As the list of pages reads it."""
+        said = {key: getattr(self, key) for key in ("kind", "title", "answer", "source")}
+        verdicts = [[c.title, c.value, c.verdict, c.tone] for c in self.cards]
+        return embedded({"insemu": __version__, "made": made_on(), **said, "cards": verdicts})
+
+    def html(self, *, forms: bool = False) -> str:
+        """The page as HTML; ``forms``: whether it may send what a :class:`Form` holds to the server that it came from."""
+        return _template().render(
+            page=self,
+            style=Markup(asset("page.css", "uPlot.min.css")),
+            script=Markup(script()),
+            script_hash=script_hash(),
+            forms=Markup("'self'" if forms else "'none'"),
+            safe=Markup,  # JSON of a chart escapes what could close a tag
+        )
+
+    def write(self, path: str | Path, *, pictures: bool = False) -> Path:
+        """Write the page and return its file.
+
+        Parameters
+        ----------
+        path : path
+            File to write; its folder is made.
+        pictures : bool
+            Whether every chart is also written as PNG and SVG into the folder ``figures`` next to the page.
+        """
+        html, path = self.html(), Path(path)
+        if pictures and (charts := charts_of(self.sections)):
+            if can_draw():
+                from insemu.report.static import save
+
+                save(charts, path.parent / "figures")
+            else:
+                say_once(f"No charts as PNG and SVG next to the page: {NO_MATPLOTLIB}")
+        put(path, html)
+        return path

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from insemu.report.charts import INK, Chart, Line, View
-from insemu.report.page import Card, Items, Section, Table, Text, render
+from insemu.report.page import Card, Items, Page, Section, Table, Text
 from insemu.report.style import COLOURS
 
 if TYPE_CHECKING:
@@ -63,8 +63,8 @@ def render_check(checks: Mapping[str, Check], left: GapReport | None, folder: st
         ),
     ]
     title = f"A recording among emulated ones: {Path(source).name}"
-    return render(
-        title, sections, Path(folder) / "index.html", kind="gap-check", source=source, answer=answer, cards=cards
+    return Page(title, sections, kind="gap-check", source=source, answer=answer, cards=cards).write(
+        Path(folder) / "index.html"
     )
 
 

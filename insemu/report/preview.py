@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from insemu.report.page import Items, Section, Table, render
+from insemu.report.page import Items, Page, Section, Table
 from insemu.report.tables import Table as Cells
 from insemu.shown import count_of
 
@@ -68,15 +68,14 @@ def render_preview(document: Mapping[str, Any], source: str, folder: str | Path)
     """
     beyond = list(document["not_linear"])
     answer = f"Not linear: {', '.join(beyond)}." if beyond else "Every design is linear."
-    return render(
+    return Page(
         f"To first order: {document['scenario']}",
         [
             Section("Errors at the ends of the outages", [Table(*preview_rows(document["rows"]), PREVIEWED, left=2)]),
             Section("What the figures rest on", [Items(preview_notes(document))]),
         ],
-        Path(folder) / "index.html",
         kind="run",
         source=source,
         answer=answer,
         lead=f"{count_of(document['realizations'], 'realization')} to first order; nothing was flown at the full rate.",
-    )
+    ).write(Path(folder) / "index.html")

@@ -199,9 +199,9 @@ def render_referee(found: Sequence[Judgement], path: str | Path, *, source: str 
         )
         for j in found
     ]  # fmt: skip
-    return page.render(
-        "Referee", sections, path, kind="referee", source=source, answer=referee_answer(found), cards=cards
-    )
+    return page.Page(
+        "Referee", sections, kind="referee", source=source, answer=referee_answer(found), cards=cards
+    ).write(path)
 
 
 def _length(one: Judgement) -> float:

@@ -95,12 +95,11 @@ def render_regressed(results: Mapping[str, RegressedFit], path: str | Path, *, s
         page.Section("Regressors", [*blocks, _signals(results)]),
         page.Section("Noise", [residuals(fits), *detail]),
     ]
-    return page.render(
+    return page.Page(
         "Signal with regressors" + (f": {Path(source).name}" if source else ""),
         sections,
-        path,
         kind="fit",
         source=source,
         answer=regressed_answer(results),
         cards=verdict_cards(fits, explained),
-    )
+    ).write(path)

@@ -143,4 +143,4 @@ def render_require(found: Answer, path: str | Path, *, source: str = "") -> Path
         )
         for v in dict.fromkeys([found.chosen, found.verdicts[0]])
     ]
-    return page.render("Which IMU", sections, path, kind="require", source=source, answer=found.text, cards=cards)
+    return page.Page("Which IMU", sections, kind="require", source=source, answer=found.text, cards=cards).write(path)

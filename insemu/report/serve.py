@@ -16,7 +16,7 @@ from urllib.parse import parse_qs, quote, unquote, urlsplit
 from markupsafe import Markup
 
 from insemu.errors import InputError
-from insemu.report.page import Block, Card, Form, Section, Table, Text, document
+from insemu.report.page import Block, Card, Form, Page, Section, Table, Text
 
 #: What a page says about itself; the head of a file is enough to find it.
 _ABOUT = re.compile(r'<script type="application/json" id="about">(.*?)</script>', re.S)
@@ -121,14 +121,9 @@ class Shelf:
         firsts = [(p.about.get("title", p.path), *c) for p in pages[:3] for c in p.about.get("cards", ())[:1]]
         cards = [Card(str(t), str(value), str(verdict), str(tone), [str(n)]) for t, n, value, verdict, tone in firsts]
         answer = f"{len(pages)} page{'s' * (len(pages) != 1)} in {self.root.name}."
-        return document(
-            f"Results in {self.root.name}",
-            [Section("Runs", blocks)],
-            kind="serve",
-            answer=answer,
-            cards=cards,
-            forms=True,
-        )
+        return Page(
+            f"Results in {self.root.name}", [Section("Runs", blocks)], kind="serve", answer=answer, cards=cards
+        ).html(forms=True)
 
     def side(self, query: str) -> str | None:
         """Two pages side by side; None where one of them is none of this folder."""

@@ -10,7 +10,7 @@ import numpy as np
 from insemu import earth, rotation
 from insemu.report.charts import GREY, INK, RED, Chart, Line, View
 from insemu.report.experiment_charts import colour
-from insemu.report.page import Card, Folded, Items, Section, Table, Text, render
+from insemu.report.page import Card, Folded, Items, Page, Section, Table, Text
 from insemu.report.tables import short
 from insemu.solve import KNOWS, Comparison, Outages, Scored, Solution, worst_outages
 from insemu.units import datasheet
@@ -349,14 +349,12 @@ def render_solution(
     ]
     late, sigma = s.clock
     cards.append(Card("Clock", f"{late:+.3f} s", f"IMU late, sigma {sigma:.3f} s"))
-    return render(
+    return Page(
         f"Solved: {Path(s.drive.source.split(',')[0]).name}",
         sections,
-        folder / "index.html",
         kind="solve",
         source=s.drive.source,
         answer=solve_answer(s),
         lead=f"{s.drive.aligned.t:.0f} to {s.drive.imu.t[-1]:.0f} s, {len(s.drive.gnss)} fixes.",
         cards=cards,
-        pictures=True,
-    )
+    ).write(folder / "index.html", pictures=True)

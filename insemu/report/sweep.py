@@ -12,7 +12,7 @@ import numpy as np
 from insemu.evaluate import Row, Sweep, best_of, conditions, front
 from insemu.report.charts import INK, Chart, Line, View
 from insemu.report.experiment_charts import colour
-from insemu.report.page import Block, Card, Folded, Items, Section, Table, render
+from insemu.report.page import Block, Card, Folded, Items, Page, Section, Table
 from insemu.report.tables import Table as Cells
 from insemu.shown import count_of
 from insemu.units import conversion
@@ -262,14 +262,12 @@ def render_sweep(sweep: Sweep, rows: Sequence[Row], folder: str | Path) -> Path:
     sections.append(Section("Every point", [Folded(f"{len(rows)} rows", [table])]))
     if why := [f"{r.design} at point {r.point}: {r.why}." for r in rows if r.why]:
         sections.append(Section("Designs that are not linear", [Folded(f"{len(why)} rows", [Items(why)])]))
-    return render(
+    return Page(
         f"Sweep: {sweep.scenario.title}",
         sections,
-        Path(folder) / "index.html",
         kind="sweep",
         source=str(sweep.file),
         answer=sweep_answer(sweep, rows),
         lead=f"{len(sweep.points)} points of {', '.join(keys)}, {way} each, the same draws at every point.",
         cards=cards,
-        pictures=True,
-    )
+    ).write(Path(folder) / "index.html", pictures=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from insemu import earth
 from insemu.errors import InputError
 from insemu.report.charts import GREY, INK, RED, Chart, Line, View
-from insemu.report.page import Block, Card, Folded, Items, Section, Table, Text, render
+from insemu.report.page import Block, Card, Folded, Items, Page, Section, Table, Text
 from insemu.report.style import COLOURS
 
 if TYPE_CHECKING:
@@ -189,9 +189,9 @@ def _page(flight: Flight, path: Path, track: SmoothedTrack | None, source: str, 
             blocks += [Text("What looks odd:"), Items(track.warnings)]
     sections = [Section("Motion", [*blocks, Folded("Figures", [Table(["", "value", "unit"], rows)])])]
     name = Path(flight.name).name
-    return render(
-        f"Track {name}", sections, path, kind="emulate", source=source or flight.name, answer=answer, cards=cards
-    )
+    return Page(
+        f"Track {name}", sections, kind="emulate", source=source or flight.name, answer=answer, cards=cards
+    ).write(path)
 
 
 def render_reckoning(result: DeadReckoning, path: str | Path) -> Path:
@@ -234,12 +234,11 @@ def render_reckoning(result: DeadReckoning, path: str | Path) -> Path:
             f"gravity {result.gravity}",
         ),
     ]
-    return render(
+    return Page(
         f"Dead reckoning of {Path(result.source).name}",
         [Section("Error growth", [chart, Folded("Figures", [Table(("figure", "value"), rows)])]), *done],
-        path,
         kind="dead-reckon",
         source=result.source,
         answer=f"Without any fix the position is {result.final_position_error_m:.3g} m off after {seconds:.4g} s.",
         cards=[card for card in cards if not card.value.startswith("nan")],
-    )
+    ).write(path)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from insemu.report.charts import GREY, INK, Chart, Line, View, strokes
-from insemu.report.page import Card, Items, Section, Table, render
+from insemu.report.page import Card, Items, Page, Section, Table
 from insemu.report.style import COLOURS
 from insemu.transfer import Transfer
 
@@ -128,12 +128,11 @@ def render_transfer(found: Transfer, path: str | Path, source: str) -> Path:
     if found.rest:
         caption = "Each factor is the product of what the named effects explain and the rest."
         sections.append(Section("Reasons", [Table(*reason_rows(found), caption, left=3, wrap=True)]))
-    return render(
+    return Page(
         f"A static model on a drive: {Path(source).name}",
         sections,
-        path,
         kind="transfer",
         source=source,
         answer=transfer_answer(found),
         cards=cards,
-    )
+    ).write(path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -32,8 +33,8 @@ from insemu.scenario.fields import (
     Section,
     Speed,
     Structure,
-    an_axis,
     computed,
+    key,
     noise_model,
     per_axis,
 )
@@ -42,45 +43,33 @@ from insemu.scenario.fields import (
 LARGEST = 1e6
 
 
+#: A state that is left out where its standard deviation is zero.
+constant = partial(key, 0.0, ge=0, le=LARGEST)
+
+
 class StateKeys(Section):
     """Further states, each a random constant of this standard deviation; 0 leaves it out."""
 
-    gyro_scale: Ratio = Field(
-        default=0.0, ge=0, le=LARGEST, description="scale factors of the gyroscopes, for example 300 ppm"
+    gyro_scale: Ratio = constant("scale factors of the gyroscopes, for example 300 ppm")
+    accel_scale: Ratio = constant("scale factors of the accelerometers")
+    gyro_misalignment: Radians = constant("angles between the gyroscopes' axes")
+    accel_misalignment: Radians = constant("angles between the accelerometers' axes")
+    gyro_scale_temperature: PerKelvin = constant(
+        "change of the gyroscopes' scale factors with the recorded temperature", examples=["50 ppm/K"]
     )
-    accel_scale: Ratio = Field(default=0.0, ge=0, le=LARGEST, description="scale factors of the accelerometers")
-    gyro_misalignment: Radians = Field(default=0.0, ge=0, le=LARGEST, description="angles between the gyroscopes' axes")
-    accel_misalignment: Radians = Field(
-        default=0.0, ge=0, le=LARGEST, description="angles between the accelerometers' axes"
+    accel_scale_temperature: PerKelvin = constant(
+        "change of the accelerometers' scale factors with the recorded temperature", examples=["20 ppm/K"]
     )
-    gyro_scale_temperature: PerKelvin = Field(
-        default=0.0,
+    reference_temperature: float = key(
+        25.0, "temperature at which the states per kelvin change nothing, degC", examples=[20.0]
+    )
+    lever_arm: Length = constant("each component of the way from IMU to antenna")
+    latency: Seconds = constant("time by which the fixes come late")
+    stationary_start: float = key(
+        1.0,
+        "factor on the standard deviations with which stationary processes of the axes begin; 0: known to be zero, learnt slowly",
         ge=0,
         le=LARGEST,
-        examples=["50 ppm/K"],
-        description="change of the gyroscopes' scale factors with the recorded temperature",
-    )
-    accel_scale_temperature: PerKelvin = Field(
-        default=0.0,
-        ge=0,
-        le=LARGEST,
-        examples=["20 ppm/K"],
-        description="change of the accelerometers' scale factors with the recorded temperature",
-    )
-    reference_temperature: float = Field(
-        default=25.0,
-        examples=[20.0],
-        description="temperature at which the states per kelvin change nothing, degC",
-    )
-    lever_arm: Length = Field(
-        default=0.0, ge=0, le=LARGEST, description="each component of the way from IMU to antenna"
-    )
-    latency: Seconds = Field(default=0.0, ge=0, le=LARGEST, description="time by which the fixes come late")
-    stationary_start: float = Field(
-        default=1.0,
-        ge=0,
-        le=LARGEST,
-        description="factor on the standard deviations with which stationary processes of the axes begin; 0: known to be zero, learnt slowly",
     )
 
 
@@ -90,24 +79,21 @@ class AxisSource(Section):
     #: SI unit of the sensor's signal.
     UNIT: ClassVar[str] = ""
 
-    fit: Structure = Field(default=None, description="structure to fit, for example '2*GM() + WN()'")
-    model: Structure = Field(default=None, description="a noise model, for example to be stabilised")
-    plus: Structure = Field(
-        default=None,
-        description="processes that are added, for example 'RC(sigma=0.5 deg/s)': a turn-on bias, which no static log shows",
+    fit: Structure = key(None, "structure to fit, for example '2*GM() + WN()'")
+    model: Structure = key(None, "a noise model, for example to be stabilised")
+    plus: Structure = key(
+        None, "processes that are added, for example 'RC(sigma=0.5 deg/s)': a turn-on bias, which no static log shows"
     )
-    method: str = Field(default="gmwm", description="estimator, as of insemu fit --method")
+    method: str = key("gmwm", "estimator, as of insemu fit --method")
     options: dict[str, int | float | str | bool] = Field(default_factory=dict, description="options of the estimator")
-    stabilise: bool | Annotated[float, Field(gt=0, lt=1)] = Field(
-        default=False,
-        description="move poles of a polynomial that is not stationary inside the unit circle; a number is their largest modulus",
+    stabilise: bool | Annotated[float, Field(gt=0, lt=1)] = key(
+        False,
+        "move poles of a polynomial that is not stationary inside the unit circle; a number is their largest modulus",
     )
-    file: str | None = Field(default=None, description="noise-model file written by insemu fit")
-    truth: bool = Field(default=False, description="the model of the truth")
-    sensor: str | None = Field(
-        default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
-    )
-    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
+    file: str | None = key(None, "noise-model file written by insemu fit")
+    truth: bool = key(False, "the model of the truth")
+    sensor: str | None = key(None, "a sensor that comes with insemu (insemu sensor), or the file of its card")
+    case: Literal["typical", "worst"] | None = key(None, "which of the sensor's figures; typical")
 
     @field_validator("fit", "model", "plus", mode="before")
     @classmethod
@@ -179,18 +165,18 @@ class Prefilter(Section):
     levels: int | dict[str, int] = Field(
         description="octaves that are shrunk, one number or one per axis (gyro_x: 7, ...)"
     )
-    wavelet: str = Field(default="db4", description="name of an orthogonal wavelet of PyWavelets")
-    rule: Rule = Field(
-        default="sure",
-        description="how the threshold of an octave is found; approximation: the octaves are dropped whole; packets: an octave is divided into "
+    wavelet: str = key("db4", "name of an orthogonal wavelet of PyWavelets")
+    rule: Rule = key(
+        "sure",
+        "how the threshold of an octave is found; approximation: the octaves are dropped whole; packets: an octave is divided into "
         "narrower bands where that tells motion from noise better",
     )
-    mode: Literal["soft", "hard"] = Field(default="soft", description="coefficients are shrunk, or kept and dropped")
-    delay: Seconds | None = Field(
-        default=None,
+    mode: Literal["soft", "hard"] = key("soft", "coefficients are shrunk, or kept and dropped")
+    delay: Seconds | None = key(
+        None,
+        "rule approximation in real time: every sample from those up to so much later, 0 s is causal; null: from the whole record",
         ge=0,
         examples=["0 s"],
-        description="rule approximation in real time: every sample from those up to so much later, 0 s is causal; null: from the whole record",
     )
 
     @field_validator("levels")
@@ -218,20 +204,18 @@ class Prefilter(Section):
 class Tuning(Section):
     """Factors on what is believed: noise amplitudes per sensor, standard deviations of the fixes."""
 
-    gyro: float = Field(default=1.0, gt=0, description="on the noise amplitudes of the gyroscopes")
-    accel: float = Field(default=1.0, gt=0, description="on the noise amplitudes of the accelerometers")
-    position: float = Field(default=1.0, gt=0, description="on the standard deviations of the positions")
-    velocity: float = Field(default=1.0, gt=0, description="on the standard deviations of the velocities")
+    gyro: float = key(1.0, "on the noise amplitudes of the gyroscopes", gt=0)
+    accel: float = key(1.0, "on the noise amplitudes of the accelerometers", gt=0)
+    position: float = key(1.0, "on the standard deviations of the positions", gt=0)
+    velocity: float = key(1.0, "on the standard deviations of the velocities", gt=0)
 
 
 class ZeroUpdates(Section):
     """Zero velocity and zero angular rate as measurements at rest, which is found from the IMU and the fixes (never during an outage)."""
 
-    every: Seconds = Field(default=1.0, gt=0, description="time between updates")
-    velocity_sigma: Speed | None = Field(default=0.01, gt=0, description="standard deviation; null: no zero velocity")
-    rate_sigma: RadiansPerSecond | None = Field(
-        default=1e-4, gt=0, description="standard deviation; null: no zero rate"
-    )
+    every: Seconds = key(1.0, "time between updates", gt=0)
+    velocity_sigma: Speed | None = key(0.01, "standard deviation; null: no zero velocity", gt=0)
+    rate_sigma: RadiansPerSecond | None = key(1e-4, "standard deviation; null: no zero rate", gt=0)
 
     def at(self, intervals: Iterable[tuple[float, float]]) -> Standstill:
         """The updates in these intervals, (start, end) in s."""
@@ -242,29 +226,23 @@ class ZeroUpdates(Section):
 class DesignOptions(Section):
     """How a design's filter runs."""
 
-    covariance_every: int = Field(default=1, ge=1, description="covariance propagated every n-th IMU epoch")
-    gate: float | None = Field(
-        default=None, gt=0, lt=1, description="probability that a good fix is rejected; null: no gate"
-    )
-    gate_timeout: Seconds = Field(
-        default=FilterOptions.gate_timeout,
+    covariance_every: int = key(1, "covariance propagated every n-th IMU epoch", ge=1)
+    gate: float | None = key(None, "probability that a good fix is rejected; null: no gate", gt=0, lt=1)
+    gate_timeout: Seconds = key(
+        FilterOptions.gate_timeout,
+        "fixes are rejected for so long in a row; then one is taken",
         gt=0,
         le=LARGEST,
         examples=["5 s"],
-        description="fixes are rejected for so long in a row; then one is taken",
     )
-    prefilter: Prefilter | None = Field(default=None, description="wavelet de-noising of the IMU; absent: none")
-    states: Annotated[Extras, Made(StateKeys)] = Field(
-        default=Extras(),
-        description="further states, each a random constant of this standard deviation; 0 leaves it out",
+    prefilter: Prefilter | None = key(None, "wavelet de-noising of the IMU; absent: none")
+    states: Annotated[Extras, Made(StateKeys)] = key(
+        Extras(), "further states, each a random constant of this standard deviation; 0 leaves it out"
     )
-    tuning: Tuning = Field(default=Tuning(), description="factors on what is believed")
-    zero_updates: ZeroUpdates | None = Field(
-        default=None, description="zero-velocity and zero-rate updates; {}: as usual"
-    )
-    compensate: EffectList = Field(
-        default=(),
-        description="effects that are removed from the data before the filter: {effect: id, sensor: gyro, parameter: value}",
+    tuning: Tuning = key(Tuning(), "factors on what is believed")
+    zero_updates: ZeroUpdates | None = key(None, "zero-velocity and zero-rate updates; {}: as usual")
+    compensate: EffectList = key(
+        (), "effects that are removed from the data before the filter: {effect: id, sensor: gyro, parameter: value}"
     )
 
     @field_validator("compensate")
@@ -282,31 +260,27 @@ class DesignOptions(Section):
 class Design(Section):
     """A filter design: what the filter believes about every axis, and how it runs; a name alone is a design that comes with insemu."""
 
-    design: str | None = Field(
-        default=None, description="a design that comes with insemu (insemu designs); the keys next to it win"
-    )
-    filter: str | None = Field(
-        default=None,
-        description=f"how estimate and covariance are carried: {', '.join(FAMILIES)} (compiled), ukf (compiled, square root), reference (the ekf "
+    design: str | None = key(None, "a design that comes with insemu (insemu designs); the keys next to it win")
+    filter: str | None = key(
+        None,
+        f"how estimate and covariance are carried: {', '.join(FAMILIES)} (compiled), ukf (compiled, square root), reference (the ekf "
         "written to be read, filterpy, slow); or one that an installed package offers (entry point insemu.filters); absent: ekf",
     )
     settings: dict[str, bool | int | float | str] = Field(
         default_factory=dict, description="its settings, for example {limit: 1.345} for huber"
     )
-    sensor: str | None = Field(
-        default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
-    )
-    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
-    options: DesignOptions = Field(default=DesignOptions(), description="how the filter runs")
+    sensor: str | None = key(None, "a sensor that comes with insemu (insemu sensor), or the file of its card")
+    case: Literal["typical", "worst"] | None = key(None, "which of the sensor's figures; typical")
+    options: DesignOptions = key(DesignOptions(), "how the filter runs")
 
-    gyro: GyroBelief = an_axis("the three gyroscopes")
-    accel: AccelBelief = an_axis("the three accelerometers")
-    gyro_x: GyroBelief = an_axis("gyroscope x, instead of what stands at gyro")
-    gyro_y: GyroBelief = an_axis("gyroscope y, instead of what stands at gyro")
-    gyro_z: GyroBelief = an_axis("gyroscope z, instead of what stands at gyro")
-    accel_x: AccelBelief = an_axis("accelerometer x, instead of what stands at accel")
-    accel_y: AccelBelief = an_axis("accelerometer y, instead of what stands at accel")
-    accel_z: AccelBelief = an_axis("accelerometer z, instead of what stands at accel")
+    gyro: GyroBelief = key(None, "the three gyroscopes")
+    accel: AccelBelief = key(None, "the three accelerometers")
+    gyro_x: GyroBelief = key(None, "gyroscope x, instead of what stands at gyro")
+    gyro_y: GyroBelief = key(None, "gyroscope y, instead of what stands at gyro")
+    gyro_z: GyroBelief = key(None, "gyroscope z, instead of what stands at gyro")
+    accel_x: AccelBelief = key(None, "accelerometer x, instead of what stands at accel")
+    accel_y: AccelBelief = key(None, "accelerometer y, instead of what stands at accel")
+    accel_z: AccelBelief = key(None, "accelerometer z, instead of what stands at accel")
 
     @classmethod
     def spelled_out(cls, value: Any) -> Any:

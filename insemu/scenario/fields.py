@@ -182,9 +182,9 @@ def _vector(value: Any, unit: str, without_down: bool = False) -> Vector3:
     return a, b, float("nan") if items[2] is None and without_down else number(items[2], unit)
 
 
-def an_axis(what: str) -> Any:
-    """A key that need not be there, of one sensor or axis."""
-    return Field(default=None, description=what)
+def key(default: Any, what: str, **limits: Any) -> Any:
+    """A key of a section that may be left out: what it is then, what it means, and pydantic's limits of its value."""
+    return Field(default=default, description=what, **limits)
 
 
 def _one(unit: str) -> dict[str, Any]:

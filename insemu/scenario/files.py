@@ -226,10 +226,10 @@ def _exists(path: Path) -> bool:
 
 @cache
 def code_version() -> str:
-    """Hash of the package's own source: results of other code are never taken for results of this one."""
+    """Hash of the package's own source and data: results of other code are never taken for results of this one."""
     root = Path(insemu.__file__).parent
     digest_ = hashlib.sha256()
-    for file in sorted(root.rglob("*.py")):
+    for file in sorted([*root.rglob("*.py"), *root.rglob("*.yaml")]):
         digest_.update(str(file.relative_to(root)).encode())
         digest_.update(file.read_bytes())
     return digest_.hexdigest()

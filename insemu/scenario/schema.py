@@ -33,7 +33,7 @@ from insemu.scenario.fields import (
     Section,
     Speed,
     Vector3,
-    an_axis,
+    key,
     per_axis,
 )
 from insemu.scenario.sensor_keys import with_sensors
@@ -51,22 +51,16 @@ MAX_DURATION = 30 * 86400.0
 class MountingKeys(Section):
     """Where and how the IMU sits in the vehicle."""
 
-    lever_arm: Metres = Field(
-        default=(0.0, 0.0, 0.0), description="vehicle reference point to IMU, forward, right, down"
-    )
-    rpy: Angles = Field(default=(0.0, 0.0, 0.0), description="roll, pitch, yaw of the IMU with respect to the vehicle")
+    lever_arm: Metres = key((0.0, 0.0, 0.0), "vehicle reference point to IMU, forward, right, down")
+    rpy: Angles = key((0.0, 0.0, 0.0), "roll, pitch, yaw of the IMU with respect to the vehicle")
 
 
 class SamplingKeys(Section):
     """How the sensor really samples, whatever ``kind`` takes its values for."""
 
-    average: Literal["interval", "instant"] = Field(
-        default="interval", description="mean over the sampling interval, or value at the stamp"
-    )
-    bandwidth: Hertz | None = Field(default=None, gt=0, description="-3 dB of the sensor's second-order low-pass; none")
-    stamp: Literal["start", "middle", "end"] = Field(
-        default="end", description="where in its interval the stamp of an average lies"
-    )
+    average: Literal["interval", "instant"] = key("interval", "mean over the sampling interval, or value at the stamp")
+    bandwidth: Hertz | None = key(None, "-3 dB of the sensor's second-order low-pass; none", gt=0)
+    stamp: Literal["start", "middle", "end"] = key("end", "where in its interval the stamp of an average lies")
 
 
 #: Vehicles without a motion of their own (:data:`insemu.emulate.VEHICLES`).
@@ -79,31 +73,27 @@ class MountKeys(Section):
     """A mount that lets the IMU move in the vehicle."""
 
     frequency: Hertz = Field(gt=0, description="of its resonance")
-    damping: float = Field(default=0.1, gt=0, le=2, description="share of the critical damping")
+    damping: float = key(0.1, "share of the critical damping", gt=0, le=2)
 
 
 class VehicleKeys(Section):
     """A vehicle that shakes, pitches and slips about its path, as its file says (docs/vehicles.md)."""
 
-    preset: str | None = Field(default=None, description="a vehicle that comes with the package, for example car")
-    file: str | None = Field(default=None, description="a vehicle's file, learned from a recording or written by hand")
-    roughness: Literal["A", "B", "C", "D", "E", "F", "G", "H", "low", "high"] | None = Field(
-        default=None, description="of a preset's road (ISO 8608) or rail (ERRI B176)"
+    preset: str | None = key(None, "a vehicle that comes with the package, for example car")
+    file: str | None = key(None, "a vehicle's file, learned from a recording or written by hand")
+    roughness: Literal["A", "B", "C", "D", "E", "F", "G", "H", "low", "high"] | None = key(
+        None, "of a preset's road (ISO 8608) or rail (ERRI B176)"
     )
-    wind: Speed | None = Field(
-        default=None, ge=0, le=40, description="mean wind 6 m above the ground, where it flies or floats"
+    wind: Speed | None = key(None, "mean wind 6 m above the ground, where it flies or floats", ge=0, le=40)
+    wind_from: Radians | None = key(None, "where the wind comes from, from north; north")
+    current: tuple[Speed, Radians] | None = key(None, "of the water: speed, and where it goes to")
+    nose: Literal["course", "target", "wandering", "turning"] | None = key(
+        None, "where a multirotor or helicopter looks; course"
     )
-    wind_from: Radians | None = Field(default=None, description="where the wind comes from, from north; north")
-    current: tuple[Speed, Radians] | None = Field(default=None, description="of the water: speed, and where it goes to")
-    nose: Literal["course", "target", "wandering", "turning"] | None = Field(
-        default=None, description="where a multirotor or helicopter looks; course"
-    )
-    target: tuple[Radians, Radians] | None = Field(default=None, description="latitude and longitude for nose: target")
-    waves: tuple[Length, Seconds] | None = Field(
-        default=None, description="of a preset that floats: significant height and peak period"
-    )
-    seed: int = Field(default=0, ge=0, description="the same seed is the same motion, in every realization")
-    mount: Annotated[Mount, Made(MountKeys)] | None = Field(default=None, description="resonance of the IMU's mount")
+    target: tuple[Radians, Radians] | None = key(None, "latitude and longitude for nose: target")
+    waves: tuple[Length, Seconds] | None = key(None, "of a preset that floats: significant height and peak period")
+    seed: int = key(0, "the same seed is the same motion, in every realization", ge=0)
+    mount: Annotated[Mount, Made(MountKeys)] | None = key(None, "resonance of the IMU's mount")
 
     @model_validator(mode="after")
     def _one(self) -> VehicleKeys:
@@ -150,43 +140,35 @@ class OutageKeys(Section):
 class TrajectorySource(Section):
     """Where the motion comes from."""
 
-    builtin: str | None = Field(
-        default=None, description="name of a built-in trajectory, for example helicopter_mapping"
+    builtin: str | None = key(None, "name of a built-in trajectory, for example helicopter_mapping")
+    waypoints: str | None = key(None, "waypoint file (CSV or GeoJSON)")
+    track: str | None = key(None, "recorded track: any file that insemu open reads, or a CSV")
+    motion: str | None = key(None, "motion command file (CSV)")
+    vehicle: VehicleName | VehicleKeys = key(
+        "car", "limits and attitude for waypoints and tracks; with a file also how the body moves"
     )
-    waypoints: str | None = Field(default=None, description="waypoint file (CSV or GeoJSON)")
-    track: str | None = Field(default=None, description="recorded track: any file that insemu open reads, or a CSV")
-    motion: str | None = Field(default=None, description="motion command file (CSV)")
-    vehicle: VehicleName | VehicleKeys = Field(
-        default="car", description="limits and attitude for waypoints and tracks; with a file also how the body moves"
+    speed: Speed | None = key(None, "speed of waypoint legs whose file gives none", gt=0)
+    max_gap: Seconds = key(10.0, "longest gap of a track that is bridged", gt=0)
+    kind: Literal["increment", "mean", "sample"] = key("increment", "what an IMU sample is")
+    gravity: Literal["normal", "free_air_first_order"] = key("normal", "gravity model of emulator and filters")
+    mounting: Annotated[Mounting, Made(MountingKeys)] | None = key(None, "where and how the IMU sits in the vehicle")
+    rate: Hertz = key(100.0, "IMU rate", gt=0, le=MAX_RATE)
+    imu: Annotated[Sampling, Made(SamplingKeys)] | None = key(
+        None, "how the sensor itself samples (with mode: continuous)"
     )
-    speed: Speed | None = Field(default=None, gt=0, description="speed of waypoint legs whose file gives none")
-    max_gap: Seconds = Field(default=10.0, gt=0, description="longest gap of a track that is bridged")
-    kind: Literal["increment", "mean", "sample"] = Field(default="increment", description="what an IMU sample is")
-    gravity: Literal["normal", "free_air_first_order"] = Field(
-        default="normal", description="gravity model of emulator and filters"
-    )
-    mounting: Annotated[Mounting, Made(MountingKeys)] | None = Field(
-        default=None, description="where and how the IMU sits in the vehicle"
-    )
-    rate: Hertz = Field(default=100.0, gt=0, le=MAX_RATE, description="IMU rate")
-    imu: Annotated[Sampling, Made(SamplingKeys)] | None = Field(
-        default=None, description="how the sensor itself samples (with mode: continuous)"
-    )
-    begin: Seconds = Field(
-        default=0.0,
+    begin: Seconds = key(
+        0.0,
+        "filters and records begin so long after the start of the trajectory, whose clock the outages keep",
         ge=0,
         le=MAX_DURATION,
-        description="filters and records begin so long after the start of the trajectory, whose clock the outages keep",
     )
-    duration: Seconds | None = Field(
-        default=None,
+    duration: Seconds | None = key(
+        None,
+        "length of the flight: a longer trajectory is cut, a shorter built-in motion is repeated, a table at rest (static) lasts as long",
         gt=0,
         le=MAX_DURATION,
-        description="length of the flight: a longer trajectory is cut, a shorter built-in motion is repeated, a table at rest (static) lasts as long",
     )
-    mode: Literal["exact", "continuous"] = Field(
-        default="exact", description="how the ideal IMU is made (docs/emulation.md)"
-    )
+    mode: Literal["exact", "continuous"] = key("exact", "how the ideal IMU is made (docs/emulation.md)")
 
     @field_validator("builtin")
     @classmethod
@@ -225,17 +207,16 @@ class RecordedSignal(Section):
     files: tuple[str, ...] = Field(
         min_length=1, description="static logs; a path, or shared:PATH under the shared data folder"
     )
-    skip: Seconds = Field(default=0.0, ge=0, description="warm-up to leave out at the start of every record")
-    spans: tuple[tuple[Seconds, Seconds], ...] = Field(
-        default=(), description="of a dynamic recording: stretches [from, to] at rest, on its own clock"
+    skip: Seconds = key(0.0, "warm-up to leave out at the start of every record", ge=0)
+    spans: tuple[tuple[Seconds, Seconds], ...] = key(
+        (), "of a dynamic recording: stretches [from, to] at rest, on its own clock"
     )
-    order: tuple[int, ...] | None = Field(
-        default=None,
-        description="which piece each realization takes, counted from 0 over all files; the natural order where absent",
+    order: tuple[int, ...] | None = key(
+        None, "which piece each realization takes, counted from 0 over all files; the natural order where absent"
     )
-    remove_mean: Literal["record", "piece", "none"] | tuple[Seconds, Seconds] = Field(
-        default="record",
-        description="what the mean is taken over and removed; [from, to]: a span of every record, counted after the warm-up",
+    remove_mean: Literal["record", "piece", "none"] | tuple[Seconds, Seconds] = key(
+        "record",
+        "what the mean is taken over and removed; [from, to]: a span of every record, counted after the warm-up",
     )
 
     @field_validator("remove_mean", mode="before")
@@ -250,14 +231,14 @@ class RecordedSignal(Section):
 class SensorModels(Section):
     """A noise model per axis; ``gyro`` and ``accel`` stand for their three axes, a named axis wins."""
 
-    gyro: GyroModel = an_axis("the three gyroscopes")
-    accel: AccelModel = an_axis("the three accelerometers")
-    gyro_x: GyroModel = an_axis("gyroscope x, instead of what stands at gyro")
-    gyro_y: GyroModel = an_axis("gyroscope y, instead of what stands at gyro")
-    gyro_z: GyroModel = an_axis("gyroscope z, instead of what stands at gyro")
-    accel_x: AccelModel = an_axis("accelerometer x, instead of what stands at accel")
-    accel_y: AccelModel = an_axis("accelerometer y, instead of what stands at accel")
-    accel_z: AccelModel = an_axis("accelerometer z, instead of what stands at accel")
+    gyro: GyroModel = key(None, "the three gyroscopes")
+    accel: AccelModel = key(None, "the three accelerometers")
+    gyro_x: GyroModel = key(None, "gyroscope x, instead of what stands at gyro")
+    gyro_y: GyroModel = key(None, "gyroscope y, instead of what stands at gyro")
+    gyro_z: GyroModel = key(None, "gyroscope z, instead of what stands at gyro")
+    accel_x: AccelModel = key(None, "accelerometer x, instead of what stands at accel")
+    accel_y: AccelModel = key(None, "accelerometer y, instead of what stands at accel")
+    accel_z: AccelModel = key(None, "accelerometer z, instead of what stands at accel")
 
     def models(self) -> dict[str, NoiseModel]:
         """Models of the axes that have one."""
@@ -267,35 +248,27 @@ class SensorModels(Section):
 class Truth(SensorModels):
     """What the sensors really do: a model per axis (of a file or a sensor card, too), or pieces of recorded error signals."""
 
-    sensor: str | None = Field(
-        default=None, description="a sensor that comes with insemu (insemu sensor), or the file of its card"
+    sensor: str | None = key(None, "a sensor that comes with insemu (insemu sensor), or the file of its card")
+    case: Literal["typical", "worst"] | None = key(None, "which of the sensor's figures; typical")
+    file: str | None = key(
+        None, "noise-model file written by insemu fit; axes that are given next to it win", examples=["models.yaml"]
     )
-    case: Literal["typical", "worst"] | None = Field(default=None, description="which of the sensor's figures; typical")
-    file: str | None = Field(
-        default=None,
-        examples=["models.yaml"],
-        description="noise-model file written by insemu fit; axes that are given next to it win",
-    )
-    spread: bool = Field(
-        default=False,
+    spread: bool = key(
+        False,
+        "draw each realization's sensor from the spread between runs that the file holds (insemu fit RUN1 RUN2 ...)",
         examples=[True],
-        description="draw each realization's sensor from the spread between runs that the file holds (insemu fit RUN1 RUN2 ...)",
     )
-    recorded: RecordedSignal | None = Field(
-        default=None, description="pieces of recorded static signals instead of models"
-    )
-    record: Seconds | None = Field(
-        default=None,
+    recorded: RecordedSignal | None = key(None, "pieces of recorded static signals instead of models")
+    record: Seconds | None = key(
+        None,
+        "length of the simulated records that are cut into pieces, their mean removed (absent: no removal)",
         gt=0,
         le=MAX_DURATION,
-        description="length of the simulated records that are cut into pieces, their mean removed (absent: no removal)",
     )
-    effects: EffectList = Field(
-        default=(), description="deterministic, timing and GNSS effects: {effect: id, sensor: gyro, parameter: value}"
+    effects: EffectList = key(
+        (), "deterministic, timing and GNSS effects: {effect: id, sensor: gyro, parameter: value}"
     )
-    temperature: Annotated[TemperatureProfile, Made(TemperatureKeys)] | None = Field(
-        default=None, description="temperature of the IMU"
-    )
+    temperature: Annotated[TemperatureProfile, Made(TemperatureKeys)] | None = key(None, "temperature of the IMU")
 
     @classmethod
     def spelled_out(cls, value: Any) -> Any:
@@ -320,10 +293,8 @@ class Truth(SensorModels):
 class FitSource(Section):
     """The signals that design models are fitted to."""
 
-    simulate: Seconds | None = Field(
-        default=None, gt=0, le=MAX_DURATION, description="length of a static log simulated from the truth"
-    )
-    recorded: RecordedSignal | None = Field(default=None, description="recorded static logs")
+    simulate: Seconds | None = key(None, "length of a static log simulated from the truth", gt=0, le=MAX_DURATION)
+    recorded: RecordedSignal | None = key(None, "recorded static logs")
 
     @model_validator(mode="after")
     def _one_source(self) -> FitSource:
@@ -337,24 +308,23 @@ class RandomOutages(Section):
 
     per_hour: float = Field(ge=0, description="mean number per hour")
     mean: Seconds = Field(gt=0, description="mean duration")
-    clear: Seconds = Field(default=60.0, ge=0, description="time without outages at the start")
+    clear: Seconds = key(60.0, "time without outages at the start", ge=0)
 
 
 class Gnss(Section):
     """The fixes that the filter gets, and what it believes of them."""
 
-    rate: Hertz = Field(default=1.0, gt=0, description="of the fixes")
-    position_sigma: Metres = Field(default=(0.02, 0.02, 0.02), description="standard deviation north, east, down")
-    velocity_sigma: MetresPerSecondOrLevel | None = Field(
-        default=(0.02, 0.02, 0.02),
-        description="standard deviation north, east, down; null: no velocity, null down alone: speed and course",
+    rate: Hertz = key(1.0, "of the fixes", gt=0)
+    position_sigma: Metres = key((0.02, 0.02, 0.02), "standard deviation north, east, down")
+    velocity_sigma: MetresPerSecondOrLevel | None = key(
+        (0.02, 0.02, 0.02), "standard deviation north, east, down; null: no velocity, null down alone: speed and course"
     )
-    lever_arm: Metres = Field(default=(0.0, 0.0, 0.0), description="IMU to antenna, forward, right, down")
-    outages: tuple[Annotated[Outage, Made(OutageKeys)], ...] = Field(
-        default=(), description="spans without GNSS, from the start of the trajectory"
+    lever_arm: Metres = key((0.0, 0.0, 0.0), "IMU to antenna, forward, right, down")
+    outages: tuple[Annotated[Outage, Made(OutageKeys)], ...] = key(
+        (), "spans without GNSS, from the start of the trajectory"
     )
-    areas: tuple[Annotated[AreaOutage, Made(AreaKeys)], ...] = Field(default=(), description="places without GNSS")
-    random_outages: RandomOutages | None = Field(default=None, description="outages drawn anew in every realization")
+    areas: tuple[Annotated[AreaOutage, Made(AreaKeys)], ...] = key((), "places without GNSS")
+    random_outages: RandomOutages | None = key(None, "outages drawn anew in every realization")
 
     @field_validator("position_sigma", "velocity_sigma")
     @classmethod
@@ -367,10 +337,10 @@ class Gnss(Section):
 class Initial(Section):
     """Standard deviations of the initial state; the true initial errors are drawn from the same, which the filter believes."""
 
-    position_sigma: Metres = Field(default=(0.1, 0.1, 0.1), description="position, one or three (north, east, down)")
-    velocity_sigma: MetresPerSecond = Field(default=(0.05, 0.05, 0.05), description="velocity, one or three")
-    tilt_sigma: Radians = Field(default=0.0087266, ge=0, description="roll and pitch")
-    heading_sigma: Radians = Field(default=0.0174533, ge=0, description="heading")
+    position_sigma: Metres = key((0.1, 0.1, 0.1), "position, one or three (north, east, down)")
+    velocity_sigma: MetresPerSecond = key((0.05, 0.05, 0.05), "velocity, one or three")
+    tilt_sigma: Radians = key(0.0087266, "roll and pitch", ge=0)
+    heading_sigma: Radians = key(0.0174533, "heading", ge=0)
 
     @property
     def sigma(self) -> InitialSigma:
@@ -386,12 +356,12 @@ class Published(Section):
     """Figures of a paper, printed next to ours: errors per design, one value per outage (null where the paper prints none)."""
 
     source: str = Field(description="the paper and its table, as it is to be cited")
-    planimetric_end_m: Cells | None = Field(default=None, description="mean error at outage end")
-    planimetric_mean_m: Cells | None = Field(default=None, description="mean error during the outage")
-    planimetric_max_m: Cells | None = Field(default=None, description="largest error during the outage")
-    north_max_m: Cells | None = Field(default=None, description="largest error north during the outage")
-    east_max_m: Cells | None = Field(default=None, description="largest error east during the outage")
-    down_max_m: Cells | None = Field(default=None, description="largest error down during the outage")
+    planimetric_end_m: Cells | None = key(None, "mean error at outage end")
+    planimetric_mean_m: Cells | None = key(None, "mean error during the outage")
+    planimetric_max_m: Cells | None = key(None, "largest error during the outage")
+    north_max_m: Cells | None = key(None, "largest error north during the outage")
+    east_max_m: Cells | None = key(None, "largest error east during the outage")
+    down_max_m: Cells | None = key(None, "largest error down during the outage")
 
     @model_validator(mode="after")
     def _some_figure(self) -> Published:
@@ -410,42 +380,33 @@ class Published(Section):
 class NonHolonomic(Section):
     """The constraint of a vehicle that moves where it points: wheels neither slip sideways nor leave the road."""
 
-    sigma: Speed = Field(
-        default=0.1, gt=0, description="standard deviation of the velocity sideways and up that a slip or a bump makes"
-    )
-    mounting_sigma: Radians = Field(
-        default=0.0872665, gt=0, description="standard deviation of the mounting angles, for example '5 deg'"
-    )
+    sigma: Speed = key(0.1, "standard deviation of the velocity sideways and up that a slip or a bump makes", gt=0)
+    mounting_sigma: Radians = key(0.0872665, "standard deviation of the mounting angles, for example '5 deg'", gt=0)
 
 
 class RecordingSource(Section):
     """A recorded drive or flight instead of an emulated one."""
 
     file: str = Field(description="recording; a path, or shared:PATH under the shared data folder")
-    mounting: Angles = Field(
-        default=(0.0, 0.0, 0.0), description="roll, pitch, yaw of the IMU with respect to the vehicle"
+    mounting: Angles = key((0.0, 0.0, 0.0), "roll, pitch, yaw of the IMU with respect to the vehicle")
+    start: Seconds | None = key(
+        None, "leave out what is before this time from the recording's origin, or before a date"
     )
-    start: Seconds | None = Field(
-        default=None, description="leave out what is before this time from the recording's origin, or before a date"
+    end: Seconds | None = key(None, "leave out what is after this time or date")
+    imu_time_offset: Seconds = key(0.0, "how late IMU stamps are against those of GNSS; removed")
+    vehicle: NonHolonomic | None = key(
+        None, "a vehicle that moves where it points, for the gap workflow; null: no wheels"
     )
-    end: Seconds | None = Field(default=None, description="leave out what is after this time or date")
-    imu_time_offset: Seconds = Field(default=0.0, description="how late IMU stamps are against those of GNSS; removed")
-    vehicle: NonHolonomic | None = Field(
-        default=None, description="a vehicle that moves where it points, for the gap workflow; null: no wheels"
+    gravity: Literal["normal", "free_air_first_order"] = key("normal", "gravity model of the filters")
+    known: EffectList = key(
+        (), "effects that it has and that cannot be removed, such as output counts: insemu gap does not name them again"
     )
-    gravity: Literal["normal", "free_air_first_order"] = Field(
-        default="normal", description="gravity model of the filters"
+    zero_velocity_updates: bool = key(
+        False, "feed every design zero velocity and rate at rest (zero_updates: one design)"
     )
-    known: EffectList = Field(
-        default=(),
-        description="effects that it has and that cannot be removed, such as output counts: insemu gap does not name them again",
-    )
-    zero_velocity_updates: bool = Field(
-        default=False, description="feed every design zero velocity and rate at rest (zero_updates: one design)"
-    )
-    alignment: Literal["auto", "rest", "motion"] = Field(
-        default="auto",
-        description="where the filters start: at the first rest, level from gravity and heading from the first course; in motion, from "
+    alignment: Literal["auto", "rest", "motion"] = key(
+        "auto",
+        "where the filters start: at the first rest, level from gravity and heading from the first course; in motion, from "
         "specific force and the fixes' velocity; or in motion where that is possible",
     )
 
@@ -459,50 +420,34 @@ class Scenario(Section):
     """One question: a trajectory and a truth (or a recording), GNSS with outages, and the designs that are compared."""
 
     title: str = Field(description="what the page and the tables are called")
-    question: str = Field(default="", description="what is asked, in one sentence; the page shows it below the answer")
-    notes: str = Field(
-        default="", description="what a reader of the page should know; paragraphs are parted by empty lines"
+    question: str = key("", "what is asked, in one sentence; the page shows it below the answer")
+    notes: str = key("", "what a reader of the page should know; paragraphs are parted by empty lines")
+    seed: int = key(
+        1, "of all random draws; the same seed gives the same figures, however many workers there are", ge=0
     )
-    seed: int = Field(
-        default=1,
-        ge=0,
-        description="of all random draws; the same seed gives the same figures, however many workers there are",
+    realizations: int = key(
+        24, "flights with draws of their own; every design flies each of them", ge=1, le=MAX_REALIZATIONS
     )
-    realizations: int = Field(
-        default=24,
-        ge=1,
-        le=MAX_REALIZATIONS,
-        description="flights with draws of their own; every design flies each of them",
+    trajectory: TrajectorySource | None = key(None, "how the vehicle moves; a recording has its own")
+    truth: Truth | None = key(None, "what the sensors really do; a recording has it inside")
+    recording: RecordingSource | None = key(None, "a recording to run the designs on (one realization)")
+    gnss: Gnss = key(Gnss(), "the fixes, their noise and where there are none")
+    aids: AidUses = key(
+        (),
+        "measurements other than the fixes of an emulated flight (docs/filters_aids.md): {odometer: {rate: 10 Hz, sigma: [..]}}",
     )
-    trajectory: TrajectorySource | None = Field(
-        default=None, description="how the vehicle moves; a recording has its own"
-    )
-    truth: Truth | None = Field(default=None, description="what the sensors really do; a recording has it inside")
-    recording: RecordingSource | None = Field(
-        default=None, description="a recording to run the designs on (one realization)"
-    )
-    gnss: Gnss = Field(default=Gnss(), description="the fixes, their noise and where there are none")
-    aids: AidUses = Field(
-        default=(),
-        description="measurements other than the fixes of an emulated flight (docs/filters_aids.md): {odometer: {rate: 10 Hz, sigma: [..]}}",
-    )
-    initial: Initial = Field(default=Initial(), description="how well the filter knows where it starts")
-    fits: FitSource | None = Field(default=None, description="signals that models under designs are fitted to")
+    initial: Initial = key(Initial(), "how well the filter knows where it starts")
+    fits: FitSource | None = key(None, "signals that models under designs are fitted to")
     designs: dict[Name, Annotated[Design, OrName]] = Field(
         default_factory=dict, description="what is compared; only emulation goes without"
     )
-    filter: str | None = Field(default=None, description="the filter of every design that names none")
-    smoother: bool = Field(
-        default=False,
-        description="smooth every design's run backwards too (Rauch, Tung, Striebel), through the outages",
-    )
-    published: Published | None = Field(default=None, description="figures of a paper that are printed next to ours")
+    filter: str | None = key(None, "the filter of every design that names none")
+    smoother: bool = key(False, "smooth every design's run backwards too (Rauch, Tung, Striebel), through the outages")
+    published: Published | None = key(None, "figures of a paper that are printed next to ours")
     variants: dict[Name, dict[str, Any]] = Field(
         default_factory=dict, description="name to the keys that differ; each is run too, under variants/NAME"
     )
-    smoke: tuple[str, ...] = Field(
-        default=("run", "--realizations", "2"), description="command and options of the project's smoke run"
-    )
+    smoke: tuple[str, ...] = key(("run", "--realizations", "2"), "command and options of the project's smoke run")
 
     @classmethod
     def spelled_out(cls, value: Any) -> Any:

@@ -30,48 +30,7 @@ SPEED = 10.0
 #: filter has learnt the biases, the second after two thirds.
 OUTAGE_S, OUTAGE_SHARE = 60.0, 1.0 / 6.0
 
-_TEMPLATE = """\
-# One file is one question. Quantities carry the units of datasheets; `insemu schema` prints every key for an editor.
-#   insemu run {name}          flies it: tables here, figures and a page in results/{stem}/
-#   insemu compare {name}      says which design is better, and where its metres come from
-title: "{title}"
-question: How far does each filter drift in a GNSS outage, and does it know its own error?
-seed: 1                        # of all random draws: the same seed gives the same numbers
-realizations: {realizations}                # flights with other noise; more of them narrow the intervals of the means
-
-# The motion.
-trajectory:
-{motion}
-  rate: 100 Hz                 # of the IMU
-
-# What the sensors really do. {about}
-{said}
-truth:
-  {truth}{pad}# {hint}
-
-# GNSS: what a receiver gives, and the spans without it.
-gnss:
-  rate: 1 Hz
-  position_sigma: [{position}]       # north, east, down, 1 sigma, white; RTK: 2 cm
-  velocity_sigma: [{velocity}]
-  lever_arm: [0 m, 0 m, 0 m]            # IMU to antenna: forward, right, down
-  outages:                              # the error is read at the end of each
-{outages}
-{aids}
-# What the filter knows at the start, 1 sigma.
-initial:
-  position_sigma: [{position}]
-  velocity_sigma: 0.1 m/s
-  tilt_sigma: 0.5 deg
-  heading_sigma: 2 deg
-
-# What each filter believes of the sensors. More designs: `insemu designs`.
-designs:
-  complete:                             # the model of the truth
-    gyro: {{truth: true}}
-    accel: {{truth: true}}{options}
-{second}
-"""
+_TEMPLATE = (Path(__file__).parent / "first_scenario.txt").read_text(encoding="utf-8")
 
 _WHITE = """\
   white noise:                          # nine states: no bias that changes in flight

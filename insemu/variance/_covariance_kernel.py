@@ -68,38 +68,6 @@ def haar_covariances(s1: Array, n: int, levels: int, means: Array, out: Array) -
 
 
 @njit(cache=True, nogil=True)
-def haar_variances_of_variances(
-    s1: Array, n: int, levels: int, means: Array, out: Array
-) -> None:  # pragma: no cover - compiled
-    """The diagonal of :func:`haar_covariances` alone, in time proportional to ``n * levels``.
-
-    Parameters
-    ----------
-    s1, n, levels, means
-        As there.
-    out : (levels,) array
-        Overwritten, unit^4.
-    """
-    own = s1.copy()
-    for j in range(levels):
-        mj = 1 << j
-        last = n - 2 * mj  # the longest lag at which two coefficients exist
-        count = float(last + 1)
-        total = 0.0
-        for i in range(last + 1):
-            weight = 1.0 if i == 0 else 2.0
-            total += weight * (count - i) * (2.0 * own[i] * own[i] + 4.0 * means[j] * means[j] * own[i])
-        out[j] = total / (count * count)
-        if j + 1 < levels:
-            new = np.zeros(n)
-            for i in range(n - 4 * mj + 1):
-                new[i] = 0.25 * (
-                    6.0 * own[i] + 4.0 * (own[i + mj] + own[abs(i - mj)]) + own[i + 2 * mj] + own[abs(i - 2 * mj)]
-                )
-            own = new
-
-
-@njit(cache=True, nogil=True)
 def _kappa(
     kind: int, tc: float, c1: float, c2: float, c3: float, h: float, averaged: bool
 ) -> float:  # pragma: no cover - compiled

@@ -238,12 +238,15 @@ def _values(values: Array, m: NDArray[np.int64], kind: Kind) -> Array:
         elif kind in ("hadamard", "overlapping-hadamard"):
             stride = 1 if kind == "overlapping-hadamard" else step
             terms = (s.size - 3 * step - 1) // stride + 1
-            out[index] = _kernel.third_differences(s, step, stride) / (6.0 * terms * step**2)
+            out[index] = _kernel.second_differences(s[step:] - s[:-step], step, stride) / (6.0 * terms * step**2)
         elif kind == "modified":
             terms = s.size - 3 * step + 1
-            out[index] = _kernel.averaged_second_differences(s, step) / (2.0 * terms * float(step) ** 4)
+            sums = np.concatenate([[0.0], np.cumsum(s)])
+            moving = sums[step:] - sums[:-step]
+            out[index] = _kernel.second_differences(moving, step, 1) / (2.0 * terms * float(step) ** 4)
         else:
-            out[index] = _kernel.reflected_second_differences(s, step) / (2.0 * (s.size - 2) * step**2)
+            continued = np.pad(s, step - 1, mode="reflect", reflect_type="odd")
+            out[index] = _kernel.second_differences(continued, step, 1) / (2.0 * (s.size - 2) * step**2)
     return out
 
 

@@ -33,14 +33,12 @@ from insemu.variance import _kernel
 from insemu.variance.edof import (
     Intervals,
     Scatter,
-    check_confidence,
-    chi_square_interval,
     edof_of_noise,
     eta3,
     noise_type,
     scatter_of_noise,
 )
-from insemu.variance.wavelet import WaveletVariance, check_levels, check_rate, check_signal, max_levels
+from insemu.variance.wavelet import Asked, WaveletVariance, check_levels, check_signal, max_levels
 
 Array = NDArray[np.float64]
 
@@ -220,8 +218,7 @@ def robust_wavelet_variance(
         As :func:`~insemu.variance.wavelet.wavelet_variance`; an efficiency outside 0.4 to 0.99.
     """
     c, k = biweight_constants(float(efficiency))
-    rate_hz = check_rate(rate_hz)
-    check_confidence(confidence)
+    asked = Asked(rate_hz, "haar", intervals, confidence)
     values = check_signal(x)
     n = values.size
     count = check_levels(levels, max_levels(n), n)
@@ -250,24 +247,9 @@ def robust_wavelet_variance(
         scatter = scatter_of_noise(noise_type(scale, value, n), scale, n)
         edof = scatter.edof
     edof = np.maximum(edof * loss, 1.0)
-    low, high = chi_square_interval(value, edof, confidence, intervals, scatter=scatter)
+    curve = asked.curve(value, n - scale + 1, n, edof, scatter)
     return RobustWaveletVariance(
-        scale,
-        scale / rate_hz,
-        value,
-        low,
-        high,
-        edof,
-        n - scale + 1,
-        n,
-        rate_hz,
-        "haar",
-        "modwt",
-        intervals,
-        confidence,
-        efficiency=used_efficiency,
-        contaminated=seen.contaminated,
-        protected=protected,
+        **vars(curve), efficiency=used_efficiency, contaminated=seen.contaminated, protected=protected
     )
 
 

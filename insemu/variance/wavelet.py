@@ -8,8 +8,7 @@ Coefficients that would reach beyond the record are left out, so estimates are u
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from typing import Literal, get_args
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,7 +29,6 @@ from insemu.variance.filtered import scatter_of_filter, unit_curves
 from insemu.variance.filters import modwt_filters
 
 Array = NDArray[np.float64]
-Transform = Literal["modwt", "dwt"]
 
 #: Samples at the beginning of a record whose median is subtracted, so that an offset costs no digits.
 ORIGIN_SAMPLES = 255
@@ -56,7 +54,7 @@ class WaveletVariance:
         Coefficients that entered, boundary left out.
     n_samples : int
         Length of the record.
-    rate_hz, filter, transform, intervals, confidence
+    rate_hz, filter, intervals, confidence
         How it was made.
     lost : (n,) bool array, optional
         Samples that are missing; None of a complete record.
@@ -76,7 +74,6 @@ class WaveletVariance:
     n_samples: int
     rate_hz: float = 1.0
     filter: str = "haar"
-    transform: Transform = "modwt"
     intervals: Intervals = "edof"
     confidence: float = 0.95
     lost: NDArray[np.bool_] | None = None
@@ -151,12 +148,48 @@ def check_levels(levels: int | None, possible: int, n_samples: int) -> int:
     return int(levels)
 
 
+@dataclass(frozen=True)
+class Asked:
+    """What is asked of a curve: rate in Hz, filter, kind and level of the intervals."""
+
+    rate_hz: float
+    filter: str = "haar"
+    intervals: Intervals = "edof"
+    confidence: float = 0.95
+
+    def __post_init__(self) -> None:
+        check_rate(self.rate_hz)
+        check_confidence(self.confidence)
+
+    def curve(
+        self, value: Array, used: NDArray[np.int64], n_samples: int, edof: Array, scatter: Scatter | None
+    ) -> WaveletVariance:
+        """A curve with its intervals.
+
+        Parameters
+        ----------
+        value : (J,) array
+            Variances, unit^2.
+        used : (J,) array of int
+            Coefficients of each octave.
+        n_samples : int
+            Length of the record.
+        edof : (J,) array
+            Degrees of freedom.
+        scatter : Scatter, optional
+            How the estimates scatter, where that is known.
+        """
+        scale = 2 ** np.arange(1, len(value) + 1, dtype=np.int64)
+        low, high = chi_square_interval(value, edof, self.confidence, self.intervals, scatter=scatter)
+        made = (scale, scale / self.rate_hz, value, low, high, edof, used, n_samples)
+        return WaveletVariance(*made, float(self.rate_hz), self.filter, self.intervals, self.confidence)
+
+
 def wavelet_variance(
     x: ArrayLike,
     rate_hz: float = 1.0,
     *,
     filter: str = "haar",
-    transform: Transform = "modwt",
     confidence: float = 0.95,
     intervals: Intervals = "edof",
     edof: ArrayLike | None = None,
@@ -173,8 +206,6 @@ def wavelet_variance(
         Sampling rate.
     filter : str
         ``"haar"`` or another name of :data:`insemu.variance.filters.FILTERS`.
-    transform : {"modwt", "dwt"}
-        Maximal overlap (default, smaller variance) or decimated.
     confidence : float
         Level of the intervals.
     intervals : {"edof", "eta3", "normal"}
@@ -186,7 +217,7 @@ def wavelet_variance(
     levels : int, optional
         Number of octaves; all that the record allows by default.
     gaps : bool
-        Take what is not finite for missing samples (maximal overlap only): see :mod:`insemu.variance.gaps`. Octaves in which fewer than
+        Take what is not finite for missing samples: see :mod:`insemu.variance.gaps`. Octaves in which fewer than
         two coefficients are there are left out.
 
     Raises
@@ -204,72 +235,46 @@ def wavelet_variance(
     >>> curve.tau_s.tolist(), curve.value.tolist()
     ([1.0, 2.0], [0.25, 0.0])
     """
-    rate_hz = check_rate(rate_hz)
-    check_confidence(confidence)
-    if transform not in get_args(Transform):
-        raise InputError(f"transform is '{transform}', expected one of: {', '.join(get_args(Transform))}")
+    asked = Asked(rate_hz, filter, intervals, confidence)
     h, g = modwt_filters(filter)
-    length = h.size
     # what is not finite shows in the first octave of the fast path, without a pass of its own
-    fast = transform == "modwt" and length == 2
+    fast = h.size == 2
     if gaps and not np.isfinite(whole := check_signal(x, finite=False)).all():
-        if transform != "modwt" or edof is not None:
-            raise InputError(
-                "a signal with missing samples has the transform modwt and its own degrees of freedom only"
-            )
-        return _of_gaps(whole, rate_hz, filter, levels, confidence, intervals)
+        if edof is not None:
+            raise InputError("a signal with missing samples has its own degrees of freedom only")
+        return _of_gaps(whole, asked, levels)
     values = check_signal(x, finite=not fast)
-    count = check_levels(levels, max_levels(values.size, length), values.size)
-    if transform == "dwt":
-        value, used = _dwt_variance(values, h, g, count)
-    elif fast:
+    count = check_levels(levels, max_levels(values.size, h.size), values.size)
+    if fast:
         value, used = _haar_variance(values, count)
         if not np.isfinite(value[0]):
             check_signal(values)
     else:
         pairs = [(float(np.mean(w * w)), w.size) for w in _coefficients(values, h, g, count)]
         value, used = np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs], dtype=np.int64)
-    return _finish(value, used, values.size, rate_hz, filter, transform, confidence, intervals, edof, length)
+    return _finish(value, used, values.size, asked, edof)
 
 
-def _of_gaps(
-    x: Array, rate_hz: float, filter: str, levels: int | None, confidence: float, intervals: Intervals
-) -> WaveletVariance:
+def _of_gaps(x: Array, asked: Asked, levels: int | None) -> WaveletVariance:
     """The curve of a signal with missing samples."""
     lost = ~np.isfinite(x)
     there = int(np.count_nonzero(~lost))
     if there < 3:
         raise InputError(f"signal has {there} samples that are finite, expected at least 3")
-    length = modwt_filters(filter)[0].size
+    length = modwt_filters(asked.filter)[0].size
     count = check_levels(levels, max_levels(x.size, length), x.size)
     origin = _middle_of_first(x, lost)
     curve = with_gaps.haar_with_gaps(x, origin, count)
-    if curve is not None and filter != "haar":
-        curve = with_gaps.filter_with_gaps(x, origin, filter, curve)
+    if curve is not None and asked.filter != "haar":
+        curve = with_gaps.filter_with_gaps(x, origin, asked.filter, curve)
     if curve is None:
         raise InputError(f"of {x.size} samples {x.size - there} are missing: no octave has two coefficients")
-    scale = 2 ** np.arange(1, curve.value.size + 1, dtype=np.int64)
-    edof, scatter = curve.scatter.edof, curve.scatter if intervals == "edof" else None
-    if intervals == "eta3":
-        edof = np.maximum(eta3(scale.astype(float), x.size, length) / curve.inflation, 1.0)
-    low, high = chi_square_interval(curve.value, edof, confidence, intervals, scatter=scatter)
-    return WaveletVariance(
-        scale,
-        scale / rate_hz,
-        curve.value,
-        low,
-        high,
-        edof,
-        curve.terms,
-        x.size,
-        rate_hz,
-        filter,
-        "modwt",
-        intervals,
-        confidence,
-        lost,
-        curve.inflation,
-    )
+    edof, scatter = curve.scatter.edof, curve.scatter if asked.intervals == "edof" else None
+    if asked.intervals == "eta3":
+        scale = 2.0 ** np.arange(1, curve.value.size + 1, dtype=np.float64)
+        edof = np.maximum(eta3(scale, x.size, length) / curve.inflation, 1.0)
+    made = asked.curve(curve.value, curve.terms, x.size, edof, scatter)
+    return replace(made, lost=lost, inflation=curve.inflation)
 
 
 def _middle_of_first(x: Array, lost: NDArray[np.bool_]) -> float:
@@ -282,59 +287,28 @@ def _middle_of_first(x: Array, lost: NDArray[np.bool_]) -> float:
 
 
 def _finish(
-    value: Array,
-    used: NDArray[np.int64],
-    n_samples: int,
-    rate_hz: float,
-    filter: str,
-    transform: Transform,
-    confidence: float,
-    intervals: Intervals,
-    edof: ArrayLike | None,
-    length: int,
+    value: Array, used: NDArray[np.int64], n_samples: int, asked: Asked, edof: ArrayLike | None = None
 ) -> WaveletVariance:
-    count = len(value)
+    """The curve of moments of a complete record."""
+    count, filter = len(value), asked.filter
     scale = 2 ** np.arange(1, count + 1, dtype=np.int64)
+    length = modwt_filters(filter)[0].size
     scatter: Scatter | None = None
     if edof is not None:
         freedom = np.asarray(edof, dtype=float)
         if freedom.shape != (count,) or not (freedom > 0).all():
             raise InputError(f"edof has shape {freedom.shape}, expected {count} positive numbers, one per scale")
-    elif intervals == "eta3":
-        # the peer divides by the scale for decimated coefficients too; reproduced here, and much too wide there
-        freedom = (
-            eta3(scale.astype(float), n_samples, length) if transform == "modwt" else np.maximum(used / scale, 1.0)
-        )
-    elif transform == "dwt":
-        freedom = np.maximum(used, 1).astype(
-            float
-        )  # decimated coefficients are nearly uncorrelated: that is what the DWT is for
-    elif length > 2:
-        octaves = tuple(range(1, count + 1))
-        followed = noise_type(
-            scale, value, n_samples, unit_curves=lambda components: unit_curves(filter, octaves, components)
-        )
-        scatter = scatter_of_filter(followed, filter, count, n_samples)
-        freedom = scatter.edof
+    elif asked.intervals == "eta3":
+        freedom = eta3(scale.astype(float), n_samples, length)
     else:
-        scatter = scatter_of_noise(noise_type(scale, value, n_samples), scale, n_samples)
+        if length > 2:
+            octaves = tuple(range(1, count + 1))
+            noise = noise_type(scale, value, n_samples, unit_curves=lambda kinds: unit_curves(filter, octaves, kinds))
+            scatter = scatter_of_filter(noise, filter, count, n_samples)
+        else:
+            scatter = scatter_of_noise(noise_type(scale, value, n_samples), scale, n_samples)
         freedom = scatter.edof
-    low, high = chi_square_interval(value, freedom, confidence, intervals, scatter=scatter)
-    return WaveletVariance(
-        scale,
-        scale / rate_hz,
-        value,
-        low,
-        high,
-        freedom,
-        used,
-        n_samples,
-        rate_hz,
-        filter,
-        transform,
-        intervals,
-        confidence,
-    )
+    return asked.curve(value, used, n_samples, freedom, scatter)
 
 
 def _read_only(values: Array) -> Array:
@@ -394,25 +368,6 @@ def wavelet_coefficients(x: ArrayLike, *, filter: str = "haar", levels: int | No
     return list(_coefficients(values, h, g, check_levels(levels, max_levels(values.size, h.size), values.size)))
 
 
-def _dwt_variance(values: Array, h: Array, g: Array, levels: int) -> tuple[Array, NDArray[np.int64]]:
-    """Decimated variances: every second coefficient of each octave, in MODWT scaling."""
-    v = values - values[0]
-    value, used = [], []
-    for _ in range(levels):
-        n = v.size - (h.size - 1)
-        if n < 1:
-            break
-        w, smooth = np.zeros(n), np.zeros(n)
-        for tap in range(h.size):
-            piece = v[h.size - 1 - tap : h.size - 1 - tap + n]
-            w += h[tap] * piece
-            smooth += g[tap] * piece
-        w, v = w[::2], smooth[::2]
-        value.append(float(np.mean(w * w)))
-        used.append(w.size)
-    return np.array(value), np.array(used, dtype=np.int64)
-
-
 def stream_wavelet_variance(
     chunks: Iterable[ArrayLike],
     rate_hz: float = 1.0,
@@ -444,7 +399,7 @@ def stream_wavelet_variance(
     InputError
         A value that is not finite (with its sample number), a piece of wrong shape, fewer than three samples.
     """
-    rate_hz = check_rate(rate_hz)
+    asked = Asked(rate_hz, "haar", intervals, confidence)
     if full_overlap < 2 * _kernel.CHUNK or full_overlap & (full_overlap - 1):
         raise InputError(f"full_overlap is {full_overlap}, expected a power of two of at least {2 * _kernel.CHUNK}")
     accumulator = HaarAccumulator(levels, full_overlap)
@@ -453,32 +408,24 @@ def stream_wavelet_variance(
         if progress is not None:
             progress(accumulator.n_samples)
     value, used = accumulator.result()
-    return curve_of_moments(value, used, accumulator.n_samples, rate_hz, confidence=confidence, intervals=intervals)
+    return _finish(value, used, accumulator.n_samples, asked)
 
 
-def curve_of_moments(
-    value: Array,
-    used: NDArray[np.int64],
-    n_samples: int,
-    rate_hz: float,
-    *,
-    confidence: float = 0.95,
-    intervals: Intervals = "edof",
-) -> WaveletVariance:
+def curve_of_moments(value: Array, used: NDArray[np.int64], n_samples: int, rate_hz: float) -> WaveletVariance:
     """The Haar curve of moments that were summed elsewhere (:class:`HaarAccumulator`, several stretches of one signal).
 
     Parameters
     ----------
     value : (J,) array
-        Mean square of the coefficients of every octave.
+        Variances, unit^2.
     used : (J,) array of int
-        Number of coefficients.
+        Coefficients of each octave.
     n_samples : int
-        Samples behind them.
-    rate_hz, confidence, intervals
-        As in :func:`wavelet_variance`.
+        Samples of all stretches.
+    rate_hz : float
+        Sampling rate.
     """
-    return _finish(value, used, n_samples, rate_hz, "haar", "modwt", confidence, intervals, None, 2)
+    return _finish(value, used, n_samples, Asked(rate_hz))
 
 
 class HaarAccumulator:

@@ -300,36 +300,24 @@ def mode(f: Array, v: float, p: Mapping[str, Any]) -> list[Term]:
     return out
 
 
+#: How many numbers each key of what rolls takes; 0 for a name.
+_ROLLING = {
+    "roughness": 0,
+    "body": 2,
+    "wheel": 2,
+    "roll": 2,
+    "wheelbase": 1,
+    "track": 1,
+    "height": 1,
+    "through": 3,
+    "twist": 3,
+}
+
+
 #: Parts of a preset that give terms, and the numbers that each takes: 1, or how many.
 PARTS: Mapping[str, tuple[Callable[[Array, float, Mapping[str, Any]], list[Term]], Mapping[str, int]]] = {
-    "road": (
-        road,
-        {
-            "roughness": 0,
-            "body": 2,
-            "wheel": 2,
-            "roll": 2,
-            "wheelbase": 1,
-            "track": 1,
-            "height": 1,
-            "through": 3,
-            "twist": 3,
-        },
-    ),
-    "rail": (
-        rail,
-        {
-            "roughness": 0,
-            "body": 2,
-            "wheel": 2,
-            "roll": 2,
-            "wheelbase": 1,
-            "track": 1,
-            "height": 1,
-            "through": 3,
-            "twist": 3,
-        },
-    ),
+    "road": (road, _ROLLING),
+    "rail": (rail, _ROLLING),
     "wing": (
         wing,
         {"wind": 1, "height": 1, "span": 1, "speed": 1, "pitch": 2, "yaw": 2, "heave": 1, "side": 1, "roll": 1},

@@ -90,12 +90,7 @@ def arma(m: Array, z: Array, p: int, b: Array) -> None:  # pragma: no cover - co
         # P + A P A'
         multiply(A, P, one)
         change, largest = 0.0, 0.0
-        for i in range(n):
-            for j in range(n):
-                total = 0.0
-                for k in range(n):
-                    total += one[i, k] * A[j, k]
-                two[i, j] = total
+        multiply(one, A.T, two)
         for i in range(n):
             for j in range(n):
                 P[i, j] += two[i, j]

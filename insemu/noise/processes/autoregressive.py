@@ -519,39 +519,6 @@ class AR(ARMA):
             raise InputError("AR has no moving-average coefficients; use ARMA")
         super().__post_init__()
 
-    @classmethod
-    def of_partial_correlations(
-        cls, correlations: ArrayLike, *, sigma2: float | None = None, rate_hz: float | None = None
-    ) -> Self:
-        """The autoregression with these partial autocorrelations, stationary where all lie between -1 and 1 (Durbin's recursion).
-
-        The first is the coefficient of the AR(1) of the same signal. An innovation variance is that of the AR(1) times ``1 - k^2`` of each of
-        the others, which ties published fits of several orders together.
-
-        Parameters
-        ----------
-        correlations : (p,) array
-            Partial autocorrelations, each between -1 and 1.
-        sigma2 : float, optional
-            Innovation variance, unit^2.
-        rate_hz : float, optional
-            Sampling rate.
-        """
-        ar = np.zeros(0)
-        for k in np.atleast_1d(np.asarray(correlations, dtype=np.float64)):
-            ar = np.append(ar - k * ar[::-1], k)
-        return cls(tuple(float(v) for v in ar), sigma2=sigma2, rate_hz=rate_hz)
-
-    def partial_correlations(self) -> Array:
-        """Partial autocorrelations, (p,): the inverse of :meth:`of_partial_correlations`; NaN below a value of exactly 1."""
-        ar = -self._polynomials()[0][1:]
-        out = np.empty(ar.size)
-        for at in range(ar.size - 1, -1, -1):
-            k = out[at] = ar[at]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                ar = (ar[:at] + k * ar[:at][::-1]) / (1.0 - k**2)
-        return out
-
 
 @dataclass(frozen=True)
 class MA(ARMA):
