@@ -1,5 +1,6 @@
 """Expectation-maximization, integrated likelihood, slopes, Burg, indirect inference, robust fits: truths, laws and refusals."""
 
+import json
 import math
 from dataclasses import replace
 
@@ -452,3 +453,14 @@ def test_ar1_is_taken_by_em_and_likelihood():
     for method in ("em", "mli"):
         result = fit(x, "AR1() + WN()", method, rate_hz=1.0)
         within(result, "AR1#1.phi", 0.95)
+
+
+@pytest.mark.parametrize(
+    ("method", "model"),
+    [(m, "WN() + GM()") for m in ("gmwm", "em", "mli", "slopes", "autocorrelation")] + [("burg", "AR(2)")],
+)
+def test_what_any_method_finds_is_written_as_json(method: str, model: str) -> None:
+    rng = np.random.default_rng(3)
+    signal = GM(sigma=2e-3, beta=1.0).simulate(4000, 0.01, rng) + 1e-3 * rng.standard_normal(4000)
+    document = fit(Series(signal, 0.01, "rad/s"), model, method=method).to_json()
+    assert json.loads(json.dumps(document, allow_nan=False)) == document

@@ -304,7 +304,7 @@ def fit_em(
         curve=curve if not has_ramp else wavelet_variance(series.values, series.rate_hz),
         fitted=whole.wavelet_variance(curve.scale_samples, dt),
         objective=-float(found.trace[-1]) if found.trace.size else math.inf,
-        converged=found.stopped and lower <= 2.0,
+        converged=bool(found.stopped and lower <= 2.0),
         warnings=tuple(notes),
         details={"trace": found.trace, "offset": offset, "space": found.space, "start": begin, "free": free_of_model},
     )
