@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 NEAR = 12
 #: Width of the parabola that follows the slow part of a log at rest, and of a drive, whose motion bends it within a tenth of a second.
 REST_S, MOTION_S = 1.0, 0.08
+#: Fewest samples over which the parabola of a log at rest is wide: a narrower one follows the noise, of which lost samples then get too little
+#: (standard deviation 0.57 of the true one at 6, 0.84 at 10, 0.99 at 20 samples; tests/test_gap_dynamic.py).
+REST_SAMPLES = 2.0 * NEAR
 #: Fewest samples that a parabola goes through, on each side of a lost one where there are two.
 FEWEST = 6
 #: White noise that keeps the equations solvable, of the variance that the parabola leaves: motion is some thousand times the noise.
@@ -221,6 +224,11 @@ def places(lost: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_
     missing = np.ones(int(at[-1]) + 1, dtype=np.bool_)
     missing[at] = False
     return at, missing
+
+
+def width_at_rest(dt: float) -> float:
+    """Samples over which the parabola of a log at rest is wide, given its sampling interval, s."""
+    return max(REST_S / dt, REST_SAMPLES)
 
 
 def filled(values: Array, missing: NDArray[np.bool_], width: float, rng: np.random.Generator | None = None) -> Array:

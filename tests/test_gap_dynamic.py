@@ -51,7 +51,7 @@ from insemu.gap.problems.band import fast_effects
 from insemu.gap.problems.findings import unknown_part
 from insemu.gap.problems.search_result import rivals_of
 from insemu.gap.verdict import Finding, Value
-from insemu.lost import filled
+from insemu.lost import filled, width_at_rest
 from insemu.noise import RW, WN, NoiseModel
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
 from insemu.scenario import Gnss, Initial
@@ -939,7 +939,7 @@ def test_of_a_level_vehicle_the_thermal_bias_of_the_vertical_is_said_first() -> 
     ]
 
 
-@pytest.mark.parametrize(("width", "motion"), [(8.0, True), (100.0, False)])
+@pytest.mark.parametrize(("width", "motion"), [(8.0, True), (width_at_rest(0.01), False)])
 def test_lost_samples_are_as_noisy_as_the_others(width: float, motion: bool) -> None:
     """In motion a thousand times the noise, and in noise with a memory; interpolated ones would have half of its variance."""
     rng, n = np.random.default_rng(4), 20_000
@@ -956,3 +956,11 @@ def test_lost_samples_are_as_noisy_as_the_others(width: float, motion: bool) -> 
     third = np.diff(out - truth + noise, 3, axis=0)[:, 0]
     touched = np.convolve(missing, np.ones(4), "valid") > 0
     assert np.var(third[touched]) / np.var(np.diff(noise, 3, axis=0)) == pytest.approx(1.0, abs=0.25)
+
+
+@pytest.mark.parametrize("rate", [1.0, 10.0, 100.0])
+def test_white_noise_at_rest_is_filled_in_as_large_as_it_is(rate: float) -> None:
+    rng = np.random.default_rng(5)
+    noise, missing = rng.standard_normal((20_000, 3)), rng.random(20_000) < 0.03
+    out = filled(noise[~missing], missing, width_at_rest(1.0 / rate), rng)
+    assert out[missing].std() == pytest.approx(1.0, abs=0.05)

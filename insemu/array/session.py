@@ -13,7 +13,7 @@ from insemu.array import weights as ways
 from insemu.array.metres import Flight, Quadratic, Response, log_variance, quadratic
 from insemu.errors import InputError
 from insemu.fit import FitResult, fit, fit_together
-from insemu.lost import FILLED_IN, MOST_LOST, REST_S, filled
+from insemu.lost import FILLED_IN, MOST_LOST, filled, width_at_rest
 from insemu.noise import NoiseModel, Process, Seen, shared_processes
 from insemu.records import AXES, Series
 
@@ -224,7 +224,7 @@ def gathered(
 def _whole(s: Series) -> Array:
     """The values with lost samples drawn from what those around them leave open, so that noise stays as white as it is."""
     gone = ~np.isfinite(s.values)
-    return filled(s.values[~gone, None], gone, REST_S * s.rate_hz, np.random.default_rng(gone.size))[:, 0]
+    return filled(s.values[~gone, None], gone, width_at_rest(1.0 / s.rate_hz), np.random.default_rng(gone.size))[:, 0]
 
 
 def _fitted(axis: str, signals: list[Series], model: str, say: Callable[[str], None]) -> list[FitResult]:

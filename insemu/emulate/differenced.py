@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from insemu import rotation
 from insemu.errors import InputError
-from insemu.lost import FILLED_IN, REST_S, filled, restored
+from insemu.lost import FILLED_IN, filled, restored, width_at_rest
 from insemu.records import ImuRecord
 
 Array = NDArray[np.float64]
@@ -143,7 +143,7 @@ def difference(unit: ImuRecord, reference: ImuRecord, *, search_s: float = 10.0)
     return Differenced(
         used.t,
         filled(
-            values[~gone], gone, REST_S / unit.dt
+            values[~gone], gone, width_at_rest(unit.dt)
         ),  # errors have no motion that a filled sample would follow too little
         1.0 / unit.dt,
         fit.offset,

@@ -13,7 +13,7 @@ from insemu.errors import InputError
 from insemu.filters import never_moves
 from insemu.formats import load_npz
 from insemu.gap.policy import rules
-from insemu.lost import REST_S, filled, places
+from insemu.lost import filled, places, width_at_rest
 from insemu.records import AXES, Recording, Series
 from insemu.sample_times import beat, samples
 from insemu.stamps import counted
@@ -107,7 +107,7 @@ def _even(
         )
     if temperature is not None:
         temperature = np.interp(np.arange(missing.size), at, temperature)
-    return filled(values, missing, REST_S / dt, np.random.default_rng(missing.size)), temperature, missing
+    return filled(values, missing, width_at_rest(dt), np.random.default_rng(missing.size)), temperature, missing
 
 
 def recorded_temperature(path: Path) -> Array | None:
