@@ -94,31 +94,30 @@ def kalman(
     Phi, Q, c, R, u, x0, P0 = model
     xf, Pf, Pp = out
     r, n, d = c.size, x0.size, y.shape[1]
-    x, xp, e = np.zeros((d, n)), np.empty((d, r)), np.empty(d)
+    x, ahead, e, seen = np.zeros((d, n)), np.empty(n), np.empty(d), np.empty(n)
     for i in range(n):
         x[0, i] = x0[i]
     P, M, T, K, G = P0.copy(), np.empty((r, r)), np.empty((r, n)), np.empty(r), np.empty(r)
-    total, S, logS = 0.0, 1.0, 0.0
+    total, S, logS, inverse, pushed = 0.0, 1.0, 0.0, 1.0, 0.0
+    for i in range(r):
+        pushed += c[i] * u[i]
     settled = y.shape[0] - 1
     constant = False
     for k in range(y.shape[0]):
         w = which[k]
-        F = Phi[w]
         if k > 0 and which[k - 1] != w:
             constant = False
-        for a in range(d):
-            for i in range(r):
-                s = u[i] if a == 0 else 0.0
-                for j in range(n):
-                    s += F[i, j] * x[a, j]
-                xp[a, i] = s
         if not constant:
-            multiply(F, P, T)
+            for j in range(n):  # what the sample sees of the states before the step
+                seen[j] = 0.0
+                for i in range(r):
+                    seen[j] += c[i] * Phi[w, i, j]
+            multiply(Phi[w], P, T)
             for i in range(r):
                 for j in range(i + 1):
                     s = Q[w, i, j]
                     for h in range(n):
-                        s += T[i, h] * F[j, h]
+                        s += T[i, h] * Phi[w, j, h]
                     M[i, j] = s
                     M[j, i] = s
             S = R[w]
@@ -130,7 +129,7 @@ def kalman(
                 S += c[i] * s
             if not S > 0.0:
                 return -np.inf, 0
-            logS = math.log(2.0 * math.pi * S)
+            logS, inverse = math.log(2.0 * math.pi * S), 1.0 / S
             change, largest = 0.0, 0.0
             for i in range(r):
                 K[i] = G[i] / S
@@ -147,14 +146,19 @@ def kalman(
             if constant:
                 settled = k
         for a in range(d):
-            s = y[k, a]
-            for i in range(r):
-                s -= c[i] * xp[a, i]
+            own = 1.0 if a == 0 else 0.0
+            s = y[k, a] - own * pushed
+            for j in range(n):
+                s -= seen[j] * x[a, j]
             for i in range(n):
-                x[a, i] = xp[a, i] + K[i] * s
+                ahead[i] = own * u[i] + K[i] * s
+                for j in range(n):
+                    ahead[i] += Phi[w, i, j] * x[a, j]
+            for i in range(n):
+                x[a, i] = ahead[i]
             e[a] = s
             for b in range(a + 1):
-                sums[a, b] += s * e[b] / S
+                sums[a, b] += s * e[b] * inverse
         if xf.size:
             for i in range(n):
                 xf[k, i] = x[0, i]
