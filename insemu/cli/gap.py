@@ -181,7 +181,7 @@ def _tell(report: GapReport, console: Console) -> None:
                     where,
                 ]
             )
-        print_table(console, "What is missing, most metres first", heads, body, left=2, fit=True)
+        print_table(console, "What is missing, in the order of metres times confidence", heads, body, left=2, fit=True)
         for n, s in most:
             console.print(f"{n}. {finding_action(s, report.assumed)}", highlight=False, markup=False)
             for v in map(shown_value, s.parameters[:6]):
