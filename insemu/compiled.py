@@ -56,7 +56,7 @@ def baseline() -> str:
 
 def _aim() -> None:
     """Make numba compile quickly, and for the baseline, unless a program has compiled with it before."""
-    # numba hashes all values of its options whenever it looks a function up, a tenth of the time to compile; the names that are set do as well
+    # numba hashes the values of all options whenever it looks a function up: a tenth of the time to compile. Equality still compares all values.
     TargetConfig.__hash__ = lambda self: hash(frozenset(self._values))  # type: ignore[method-assign]
     if "_toplevel_target_context" not in vars(cpu_target):
         name = baseline()

@@ -1,7 +1,7 @@
 """Likelihood and smoothing of a scalar signal under a linear Gaussian state space with constant matrices.
 
 ``x_k = Phi x_(k-1) + u + w_k``, ``y_k = c x_k + v_k``; the state before the first sample has mean ``x0`` and covariance ``P0``. The
-compiled loops stop updating covariances once they have settled, so that a long record costs little more than two products per state and
+compiled loops stop updating covariances once they are steady, so that a long record costs little more than two products per state and
 sample. The log-likelihood is the innovations form (equation (19) of Nikolic et al. 2016); the smoother is the fixed-interval one of the appendix of
 Stebler et al. 2011.
 """
@@ -22,8 +22,8 @@ from insemu.noise.compiled import copy, multiply
 
 Array = NDArray[np.float64]
 
-#: Covariances count as settled when no entry changes by more than this share of the largest.
-SETTLED = 1e-12
+#: Covariances count as steady when no entry changes by more than this share of the largest.
+STEADY = 1e-12
 
 
 class Model(NamedTuple):
@@ -101,7 +101,7 @@ def kalman(
     total, S, logS, inverse, pushed = 0.0, 1.0, 0.0, 1.0, 0.0
     for i in range(r):
         pushed += c[i] * u[i]
-    settled = y.shape[0] - 1
+    steady = y.shape[0] - 1
     constant = False
     for k in range(y.shape[0]):
         w = which[k]
@@ -142,9 +142,9 @@ def kalman(
             if xf.size:
                 copy(P, Pf[k])
                 copy(M, Pp[k])
-            constant = k > 2 and which[k - 1] == w and change <= SETTLED * largest
+            constant = k > 2 and which[k - 1] == w and change <= STEADY * largest
             if constant:
-                settled = k
+                steady = k
         for a in range(d):
             own = 1.0 if a == 0 else 0.0
             s = y[k, a] - own * pushed
@@ -163,11 +163,11 @@ def kalman(
             for i in range(n):
                 xf[k, i] = x[0, i]
         total -= 0.5 * logS
-    return total, settled
+    return total, steady
 
 
 @njit(cache=True, nogil=True)
-def smooth_sums(model: Model, filtered: Filtered, settled: int, out: Moments) -> None:  # pragma: no cover - compiled
+def smooth_sums(model: Model, filtered: Filtered, steady: int, out: Moments) -> None:  # pragma: no cover - compiled
     """Smooth backwards after :func:`kalman`; fills the smoothed means and the sums of second moments of the covariances.
 
     ``now`` = sum over t = 1..N-1 of P_t, ``cross`` of P_(t,t-1), ``before`` of P_(t-1); ``first`` = P_0; ``variance`` (N, n) the diagonals.
@@ -176,7 +176,7 @@ def smooth_sums(model: Model, filtered: Filtered, settled: int, out: Moments) ->
     ----------
     model : Model
     filtered : Filtered
-    settled : int
+    steady : int
         Index from which the covariances are constant, of :func:`kalman`.
     out : Moments
         Overwritten; its sums are added to.
@@ -184,10 +184,10 @@ def smooth_sums(model: Model, filtered: Filtered, settled: int, out: Moments) ->
     Phi, u, (xf, Pf, Pp) = model.Phi[0], model.u, filtered
     xs, Ps, now, cross, before, first = out
     N, n = xf.shape
-    P = Pf[min(N - 1, settled)].copy()
+    P = Pf[min(N - 1, steady)].copy()
     J, T, new = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     ready = -2
-    steady = False
+    unchanged = False
     for i in range(n):
         xs[N - 1, i] = xf[N - 1, i]
         Ps[N - 1, i] = P[i, i]
@@ -195,7 +195,7 @@ def smooth_sums(model: Model, filtered: Filtered, settled: int, out: Moments) ->
     C, L, row = np.empty((n, n)), np.zeros((n, n)), np.empty(n)
     D, G = np.empty((n, n)), np.empty((n, n))
     for t in range(N - 1, 0, -1):
-        at, nxt = min(t - 1, settled), min(t, settled)
+        at, nxt = min(t - 1, steady), min(t, steady)
         moved = nxt != ready
         if moved:
             # J = Pf Phi' Pp^-1 of the interval (t-1, t)
@@ -225,7 +225,7 @@ def smooth_sums(model: Model, filtered: Filtered, settled: int, out: Moments) ->
                         s -= L[h, i] * J[r, h]
                     J[r, i] = s / L[i, i]
             ready = nxt
-        if moved or not steady:
+        if moved or not unchanged:
             multiply(P, J.T, C)  # cov(x_t, x_(t-1))
             for i in range(n):
                 for j in range(n):
@@ -238,7 +238,7 @@ def smooth_sums(model: Model, filtered: Filtered, settled: int, out: Moments) ->
                     new[i, j] += Pf[at, i, j]
                     change = max(change, abs(new[i, j] - P[i, j]))
                     largest = max(largest, abs(new[i, j]))
-            steady = change <= SETTLED * largest
+            unchanged = change <= STEADY * largest
         for i in range(n):
             s = u[i]
             for j in range(n):
@@ -374,7 +374,7 @@ def smooth(block: StateBlock, y: ArrayLike, *, u: ArrayLike | None = None, x0: A
         raise InputError("a block without states has nothing to smooth")
     filtered = Filtered(np.empty((N, n)), np.empty((N, n, n)), np.empty((N, n, n)))
     square = np.zeros((1, 1))
-    value, settled = kalman(model, np.zeros(N, dtype=np.int64), signal[:, None], filtered, square)
+    value, steady = kalman(model, np.zeros(N, dtype=np.int64), signal[:, None], filtered, square)
     out = Moments(np.empty((N, n)), np.empty((N, n)), *(np.zeros((n, n)) for _ in range(4)))
-    smooth_sums(model, filtered, settled, out)
+    smooth_sums(model, filtered, steady, out)
     return Smoothed(*out, float(value) - 0.5 * float(square[0, 0]))

@@ -57,11 +57,11 @@ def command(
             console, experiment, by, Path(out) if out else Path("results") / f"{Path(scenario).stem}-compare"
         )
     else:
-        told = Console(stderr=True)
-        told.print(f"Ahead: {effort([experiment], workers)}.", soft_wrap=True, highlight=False)
+        stderr = Console(stderr=True)
+        stderr.print(f"Ahead: {effort([experiment], workers)}.", soft_wrap=True, highlight=False)
         with (
             dask_cluster(cluster, workers) as pool,
-            flying(told, "comparing", experiment.realizations) as progress,
+            flying(stderr, "comparing", experiment.realizations) as progress,
         ):
             results = run_experiment(experiment, workers=workers, executor=pool, progress=progress)
         rows = compare(results, base or None)

@@ -97,7 +97,7 @@ def check_control(experiment: Experiment, *, until: bool) -> None:
 
 
 def control(
-    experiment: Experiment, results: Results, realizations: int, folder: Path, told: Console, *, as_json: bool
+    experiment: Experiment, results: Results, realizations: int, folder: Path, stderr: Console, *, as_json: bool
 ) -> None:
     """Print and write (``control.json``) means and quantiles of a run that linear realizations help.
 
@@ -108,7 +108,7 @@ def control(
     realizations : int
         Linear ones.
     folder : path
-    told : Console
+    stderr : Console
     as_json : bool
         Print no table.
     """
@@ -135,13 +135,17 @@ def control(
                 f"{c.quantile.low:.3g}-{c.quantile.high:.3g}", f"{c.correlation:.3f}", *helped_by,
             ])  # fmt: skip
     print_table(
-        told, f"{results.realizations} flights helped by {realizations} linear realizations", header, body, groups=True
+        stderr,
+        f"{results.realizations} flights helped by {realizations} linear realizations",
+        header,
+        body,
+        groups=True,
     )
-    told.print(
+    stderr.print(
         "alone: 95 % of the mean of the flights alone. corr.: of full and cheap errors under the same draws; below 0.9 they are refused. saved: how "
         "many times more flights would do the same. by: linear realizations or, where those were refused, filters flown at long steps (coarse).",
         soft_wrap=True,
         style="dim",
     )
     if twin.left_out:
-        told.print(f"The linear realizations leave out: {twin.left_out}.", soft_wrap=True)
+        stderr.print(f"The linear realizations leave out: {twin.left_out}.", soft_wrap=True)

@@ -23,14 +23,14 @@ def command(
     from insemu.errors import InputError
     from insemu.evaluate import CACHE, check_complete, noted
 
-    told, where = Console(stderr=True), Path(folder)
+    stderr, where = Console(stderr=True), Path(folder)
     run, count = noted(where)
-    experiments = prepared(scenario or run["scenario"], run["overrides"], with_variants=run["variants"], console=told)
+    experiments = prepared(scenario or run["scenario"], run["overrides"], with_variants=run["variants"], console=stderr)
     if experiments[""].digest != run["digest"]:
         raise InputError(
             "scenario, data or program are not those of the shards; fly them again, or take the version that they were flown with",
             where=str(where),
         )
     check_complete(experiments, where, where / CACHE, count)
-    results, failed = run_all(experiments, where, (1, None), told, overwrite=overwrite)
+    results, failed = run_all(experiments, where, (1, None), stderr, overwrite=overwrite)
     say_all(results, failed, where, as_json=as_json)

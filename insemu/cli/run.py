@@ -63,7 +63,7 @@ def command(
     from insemu.evaluate import Shard, effort
 
     # progress and warnings go to standard error: a closed pipe behind the tables costs no files
-    told = Console(stderr=True)
+    stderr = Console(stderr=True)
     folder = Path(out) if out else Path("results") / Path(scenario).stem
     overrides = {"seed": seed, "realizations": realizations}
     ways = [
@@ -78,27 +78,27 @@ def command(
         compiled_beside("insemu.evaluate.kernels", "insemu.filters.kernel.run"),
         dask_cluster(cluster, workers) as pool,
     ):
-        experiments = prepared(scenario, overrides, with_variants=variants, console=told)
+        experiments = prepared(scenario, overrides, with_variants=variants, console=stderr)
         if control:
             check_control(experiments[""], until=bool(until))
         if linear:
             target = folder if out else folder.with_name(f"{folder.name}-linear")
             preview(experiments[""], linear, target, Console(), as_json=as_json)
             return
-        told.print(f"Ahead: {effort(list(experiments.values()), workers)}.", soft_wrap=True, highlight=False)
+        stderr.print(f"Ahead: {effort(list(experiments.values()), workers)}.", soft_wrap=True, highlight=False)
         if part is not None:
             run: dict[str, Any] = {"scenario": str(Path(scenario).resolve()) if Path(scenario).exists() else scenario}
             run |= {"overrides": overrides, "variants": variants, "digest": experiments[""].digest}
-            fly_shard(experiments, folder, part, run, (workers, pool), told)
+            fly_shard(experiments, folder, part, run, (workers, pool), stderr)
             return
         if until:
-            fly_until(experiments, until, folder, (workers, pool), told)
+            fly_until(experiments, until, folder, (workers, pool), stderr)
 
         def help_figures(found: Results) -> None:
             controlled(experiments[""], found, control, folder, Console(stderr=as_json), as_json=as_json)
 
         results, failed = run_all(
-            experiments, folder, (workers, pool), told, overwrite=overwrite, pictures=pictures,
+            experiments, folder, (workers, pool), stderr, overwrite=overwrite, pictures=pictures,
             also=help_figures if control else None,
         )  # fmt: skip
     say_all(results, failed, folder, as_json=as_json)

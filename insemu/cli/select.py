@@ -51,8 +51,8 @@ def command(
     announce(file, hertz(rate))
     series = read_static(file, rate, columns, skip)
     given = [NoiseModel.parse(c) for c in candidates] if candidates else None
-    told = Console(stderr=True)
-    with dask_cluster(cluster, workers) as pool, counting(told, "choosing", len(series)) as finished:
+    stderr = Console(stderr=True)
+    with dask_cluster(cluster, workers) as pool, counting(stderr, "choosing", len(series)) as finished:
         rankings = select_axes(
             series,
             NoiseModel.parse(general),

@@ -51,7 +51,7 @@ def command(
     from insemu.solve import candidates, compare_with, solve, summary, write
     from insemu.whole import put
 
-    console, told = Console(stderr=as_json, highlight=False), Console(stderr=True)
+    console, stderr = Console(stderr=as_json, highlight=False), Console(stderr=True)
     arm, required = _lever_arm(lever_arm), asked(requirements) if requirements else ()
     beliefs = candidates(
         [d.strip() for d in designs.split(",") if d.strip()], sensor, models, lever_arm_known=arm is not None
@@ -60,7 +60,7 @@ def command(
     show_brief(card, console)
     card.check()
     # start, clock and noise, the design that the innovations ask for, two with calibration states, outages
-    with staged(told, len(beliefs) + 6) as say:
+    with staged(stderr, len(beliefs) + 6) as say:
         solution = solve(
             recording_of(found),
             card,

@@ -46,10 +46,12 @@ def command(
     from insemu.report.sweep import render_sweep
     from insemu.whole import put
 
-    told = Console(stderr=True)
+    stderr = Console(stderr=True)
     folder = Path(out) if out else Path("results") / f"{Path(scenario).stem}-sweep"
     sweep = Sweep.of(scenario, over, latin=latin, linear=linear, overrides={"seed": seed, "realizations": realizations})
-    told.print(f"{len(sweep.points)} points of {', '.join(f.key for f in sweep.given)}.", highlight=False, markup=False)
+    stderr.print(
+        f"{len(sweep.points)} points of {', '.join(f.key for f in sweep.given)}.", highlight=False, markup=False
+    )
     with (
         compiled_beside("insemu.evaluate.kernels", "insemu.filters.kernel.run"),
         only_writer(folder),
@@ -78,9 +80,9 @@ def _rows(sweep: Sweep, cache: Path, means: dict[str, Any]) -> list[Row]:
     """All rows, with a bar for the points and what each is at."""
     from insemu.errors import InputError
 
-    told = Console(stderr=True)
+    stderr = Console(stderr=True)
     rows: list[Row] = []
-    with Bars(told) as shown:
+    with Bars(stderr) as shown:
         task = shown.add_task("points", total=len(sweep.points))
 
         def progress(done: int, total: int) -> Any:
@@ -91,7 +93,7 @@ def _rows(sweep: Sweep, cache: Path, means: dict[str, Any]) -> list[Row]:
             return step
 
         def say(text: str) -> None:
-            print_text(told, f"Warning: {text}.")
+            print_text(stderr, f"Warning: {text}.")
 
         try:
             for found in sweep.rows(cache, progress=progress, say=say, **means):
@@ -102,7 +104,7 @@ def _rows(sweep: Sweep, cache: Path, means: dict[str, Any]) -> list[Row]:
                 rows += found
         except KeyboardInterrupt:
             shown.stop()
-            told.print("Interrupted. Finished points are kept; the same command goes on from there.")
+            stderr.print("Interrupted. Finished points are kept; the same command goes on from there.")
             raise
         shown.update(task, completed=len(sweep.points), description="points")
     return rows

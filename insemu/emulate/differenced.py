@@ -142,9 +142,7 @@ def difference(unit: ImuRecord, reference: ImuRecord, *, search_s: float = 10.0)
     values = used.rates() - source.seen(fit, used.t - unit.dt, used.t)
     return Differenced(
         used.t,
-        filled(
-            values[~gone], gone, width_at_rest(unit.dt)
-        ),  # errors have no motion that a filled sample would follow too little
+        filled(values[~gone], gone, width_at_rest(unit.dt)),  # errors hold no motion
         1.0 / unit.dt,
         fit.offset,
         rotation.rpy_from_dcm(fit.turn.T),
