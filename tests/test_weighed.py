@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from insemu import rotation
 from insemu.formats import Opened, open_files, write
 from insemu.formats.names import english
 from insemu.intake import examine, receiver
+from insemu.intake.explained import _carried
 from insemu.records import GnssRecord, ImuRecord, Recording
 from tests.wrong_recordings import flown
 
@@ -80,3 +82,23 @@ def test_an_outage_is_no_jump_of_the_positions_and_a_jump_is() -> None:
     assert not any("jump" in line.text for line in receiver.steps(GnssRecord(t, llh, vel)))
     llh[150:, 0] += 190.0 / 6.38e6
     assert any("jump by 1" in line.text for line in receiver.steps(GnssRecord(t, llh, vel)))
+
+
+def test_windows_are_carried_as_matrix_products_say() -> None:
+    rng, h = np.random.default_rng(6), 0.05
+    turns, forces = 0.3 * rng.standard_normal((4, 30, 3)), rng.standard_normal((4, 30, 3))
+    V, bent, A, C = _carried(turns, forces, h)
+    for w in range(4):
+        v, b, a, c = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3)), np.eye(3)
+        for k in range(30):
+            middle = c @ (np.eye(3) + 0.5 * rotation.skew(turns[w, k]))
+            moved, later = middle @ forces[w, k], a + h * middle
+            v, b, a, c = (
+                v + moved,
+                b + rotation.skew(moved) @ (0.5 * (a + later)),
+                later,
+                c @ rotation.dcm_from_vector(turns[w, k]),
+            )
+        # sums of 30 products of a few units: some hundred eps
+        for found, expected in zip((V, bent, A, C), (v, b, a, c), strict=True):
+            np.testing.assert_allclose(found[w, -1], expected, atol=1e-12)
