@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from insemu.errors import InputError
-from insemu.gap.candidates import bias_steps, spectral, thermal, timing
+from insemu.gap.candidates import bias_steps, mounting, spectral, thermal, timing
 from insemu.gap.candidates.axis import amplitudes, state_of
-from insemu.gap.candidates.mounting import Sideways, _held_out, estimate
+from insemu.gap.candidates.mounting import Sideways, _held_out, estimate, find_mounting
 from insemu.gap.candidates.noise import gauss_markov
 from insemu.gap.candidates.outliers import evident_outliers
 from insemu.gap.candidates.tones import wandering
@@ -29,6 +29,7 @@ from insemu.gap.evidence.model import Explanation
 from insemu.gap.evidence.modes import level
 from insemu.gap.evidence.sandwich import excess
 from insemu.gap.hypothesis import Found, Hypothesis
+from insemu.gap.policy import Policy
 from insemu.gap.problems import rest
 from insemu.gap.problems.rest import is_slow
 from insemu.gap.search import reconsider, search
@@ -317,6 +318,15 @@ def test_a_vehicle_that_leans_three_degrees_on_average_is_mounted_so(roll_deg, l
 def test_a_mounting_is_judged_on_the_second_half():
     _, dof, _ = _held_out(sideways(), VEHICLE)
     assert dof == pytest.approx(200, abs=4)
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_mounting_that_is_known_to_be_wrong_is_estimated_however_little_it_lacks(known, monkeypatch):
+    for name in ("prepare", "fast_parts"):
+        monkeypatch.setattr(mounting, name, lambda *_: None)
+    monkeypatch.setattr(Sideways, "of", lambda _: sideways())
+    assert estimate(sideways(), VEHICLE).nats < Policy().least_nats
+    assert (find_mounting(None, VEHICLE, known=known).finding is not None) == known
 
 
 def test_the_axle_is_within_a_few_metres():

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from insemu import rotation
 from insemu.blas import on_one_thread
 from insemu.effects import adds, join_of, joined
 from insemu.errors import InputError
@@ -20,7 +21,7 @@ from insemu.gap.candidates.shapes import EQUATIONS
 from insemu.gap.candidates.signs import check_signs
 from insemu.gap.candidates.timing import find_times
 from insemu.gap.data.sources import StaticLog
-from insemu.gap.drive.preparation import Flown
+from insemu.gap.drive.preparation import Flown, Prepared
 from insemu.gap.holdout import DriveScore
 from insemu.gap.policy import Policy, rules, under
 from insemu.gap.problems.aids import Looked, aids_looked_at, check_aids
@@ -192,6 +193,9 @@ def _drive(
         return find_dynamic_gap(recording, moved, rng=rng, without=skip, progress=say)[0]
 
     out, refined = _looked_closer(measured, nominal, out, search, [s.effect for s in early], say)
+    if mounted is not None and len(out.findings) > (mounted.finding is not None):
+        flown_as = refined or _refined(measured, nominal, out)
+        out, refined = _mounted_again(out, flown_as, mounted, first.prepared, say), None
     out = replace(out, findings=tuple(half_sample_said(s, measured.imu) for s in out.findings))
     if hold_out:
         say("scoring on held-out fixes")
@@ -216,6 +220,34 @@ def _with_aids(report: GapReport, looked: Looked) -> GapReport:
         aids_held_out=looked.held_out,
         where=tuple(sorted((*report.where, *looked.where), key=lambda w: w.p_value)),
         after=tuple(sorted((*report.after, *looked.after), key=lambda w: w.p_value)),
+    )
+
+
+def _mounted_again(
+    report: GapReport,
+    refined: tuple[Recording, Nominal],
+    mounted: Mounted,
+    prepared: Prepared,
+    say: Callable[[str], None],
+) -> GapReport:
+    """A report whose mounting angles are those that the filter shows when it flies everything that was found.
+
+    They were estimated before the search, against a heading that a drifting clock or a scale factor moved.
+    """
+    before = next((s for s in report.findings if s.effect == "mounting"), None)
+    more = find_mounting(*refined, say, known=before is not None)
+    if more.finding is None:
+        return report
+    finding = more.finding
+    if before is not None:
+        turned = rotation.dcm_from_rpy(more.rpy) @ rotation.dcm_from_rpy([v.value for v in before.parameters])
+        angles = zip(finding.parameters, rotation.rpy_from_dcm(turned), strict=True)
+        finding = replace(before, parameters=tuple(v.shifted(float(angle) - v.value) for v, angle in angles))
+    finding = replace(finding, metres=worth_of_mounting(prepared, finding))
+    findings = sorted([*(s for s in report.findings if s is not before), finding], key=lambda s: -s.nats)
+    after = [w for w in report.after if w not in mounted.after]
+    return replace(
+        report, findings=tuple(findings), after=tuple(sorted((*after, *more.after), key=lambda w: w.p_value))
     )
 
 
