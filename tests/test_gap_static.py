@@ -124,7 +124,7 @@ def test_switching_likelihood_without_switching_is_the_scalar_kalman_filter() ->
         s = v + 1.0
         expected += -0.5 * (math.log(2 * math.pi * s) + (value - m) ** 2 / s)
         m, v = m + v / s * (value - m), v / s
-    got = kernels.switching_log_likelihood(y, 1.0, 1.0, 0.01, 4.0, 0.0, 0.9, np.empty(200))
+    got = kernels.switching_log_likelihood(kernels.BlockMeans(y, 1.0, 1.0, 0.01, 4.0), 0.0, 0.9, np.empty(200))
     assert got == pytest.approx(expected, rel=1e-12)
 
 
@@ -140,7 +140,9 @@ def test_gaussian_twin_of_switching_levels_is_the_dense_gaussian() -> None:
         + white * np.eye(40)
     )
     expected = -0.5 * (np.linalg.slogdet(2 * np.pi * C)[1] + y @ np.linalg.solve(C, y))
-    assert kernels.gauss_markov_log_likelihood(y, white, 1.0, q, p0, a, stay) == pytest.approx(expected, rel=1e-10)
+    assert kernels.gauss_markov_log_likelihood(kernels.BlockMeans(y, white, 1.0, q, p0), a, stay) == pytest.approx(
+        expected, rel=1e-10
+    )
 
 
 def test_regression_evidence_is_the_ratio_of_marginal_likelihoods() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,19 @@ from insemu.records import AXES, Recording
 
 #: How often the search of a drive runs once more about what is strong, at the most.
 MOST_PASSES = 2
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What :func:`find_gap` is asked for besides data and model."""
+
+    rng: np.random.Generator
+    without: Collection[str]
+    hold_out: bool
+    pictures: bool
+    say: Callable[[str], None]
+    flown: Flown | None
+    pool: Executor | None
 
 
 @on_one_thread
@@ -90,66 +103,37 @@ def find_gap(
         believed, drive = believed.on(measured)
         measured = drive.measured  # what was taken off beforehand is a finding
         assumed = tuple(dict.fromkeys((*drive.said, *measured.remarks)))
+    asked = _Asked(rng, without, hold_out, hold_out and pictures, progress or (lambda _: None), flown, pool)
     with under(policy):
-        report = _find(measured, believed, rng, without, hold_out, pictures, progress or (lambda _: None), flown, pool)
+        report = _find(measured, believed, asked)
     return replace(report, assumed=(*assumed, *report.assumed))
 
 
-def _find(
-    measured: StaticLog | Recording,
-    nominal: Nominal,
-    rng: np.random.Generator,
-    without: Collection[str],
-    hold_out: bool,
-    pictures: bool,
-    progress: Callable[[str], None],
-    flown: Flown | None,
-    pool: Executor | None,
-) -> GapReport:
+def _find(measured: StaticLog | Recording, nominal: Nominal, asked: _Asked) -> GapReport:
     if isinstance(measured, StaticLog):
         log, known = static_without(measured, nominal)
         report = find_static_gap(
             log.axes,
             nominal.beliefs,
-            rng=rng,
+            rng=asked.rng,
             temperature=measured.temperature,
             missing=measured.missing,
-            without=without,
-            hold_out=hold_out,
+            without=asked.without,
+            hold_out=asked.hold_out,
             source=measured.source,
-            progress=progress,
+            progress=asked.say,
             known=known,
         )
     else:
-        report = _drive(
-            measured,
-            nominal,
-            rng,
-            without,
-            hold_out,
-            hold_out and pictures,
-            progress,
-            flown,
-            pool,
-        )
+        report = _drive(measured, nominal, asked)
     return with_held_out(report)
 
 
-def _drive(
-    measured: Recording,
-    nominal: Nominal,
-    rng: np.random.Generator,
-    without: Collection[str],
-    hold_out: bool,
-    pictures: bool,
-    say: Callable[[str], None],
-    flown: Flown | None,
-    pool: Executor | None,
-) -> GapReport:
+def _drive(measured: Recording, nominal: Nominal, asked: _Asked) -> GapReport:
     from insemu.gap.problems.drive import find_dynamic_gap
 
     check(measured, nominal)
-    now = nominal
+    rng, without, say, now = asked.rng, asked.without, asked.say, nominal
     early: list[Finding] = []
 
     def taken(finding: Finding) -> Nominal:
@@ -157,7 +141,8 @@ def _drive(
         return replace(now, effects=joined(now.effects, uses_of(finding)))
 
     say("running the nominal filter")
-    first = flown = flown or Flown.of(*drive_without(measured, now))
+    first = asked.flown or Flown.of(*drive_without(measured, now))
+    flown: Flown | None = first
     recording, moved = first.recording, first.nominal
     check_signs(first, say)
     for late in find_times(first, without, say):
@@ -179,7 +164,7 @@ def _drive(
     own_axes = in_imu_axes(recording, moved)
     if own_axes[0] is not recording:
         (recording, moved), flown = own_axes, None
-    scores = pool if hold_out else None
+    scores = asked.pool if asked.hold_out else None
     report, held_out = find_dynamic_gap(
         recording, moved, rng=rng, without=skip, progress=say, flown=flown, came=first if early else None, pool=scores
     )
@@ -197,15 +182,17 @@ def _drive(
         flown_as = refined or _refined(measured, nominal, out)
         out, refined = _mounted_again(out, flown_as, mounted, first.prepared, say), None
     out = replace(out, findings=tuple(with_half_sample(s, measured.imu) for s in out.findings))
-    if hold_out:
+    if asked.hold_out:
         say("scoring on held-out fixes")
         out = scored(out, held_out(), mounted, early)
-    if not (pictures or measured.aids):
+    if not (asked.pictures or measured.aids):
         return out
     after = Flown.of(*(refined or _refined(measured, nominal, out))) if out.findings else first
     if measured.aids:
-        out = _with_aids(out, find_aid_effects(after.prepared, after.recording.aids, without, say, hold_out=hold_out))
-    if not pictures:
+        out = _with_aids(
+            out, find_aid_effects(after.prepared, after.recording.aids, without, say, hold_out=asked.hold_out)
+        )
+    if not asked.pictures:
         return out
     return replace(out, curves={**out.curves, "drive": _pictures(first, after, nominal)})
 

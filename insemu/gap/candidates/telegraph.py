@@ -96,7 +96,7 @@ def _switching(state: AxisState, block: int, sigma: float, rate: float) -> _Swit
     fast = float(state.explanation.psd(f, data.dt)[0]) - sum(float(p.psd(f, data.dt)[0]) for p in _slow(state, length))
     white = max(fast, 0.1 * state.white**2) / length
     p0 = (10.0 * float(np.std(y))) ** 2
-    path = np.empty(count)
+    path, means = np.empty(count), kernels.BlockMeans(y, white, phi, q, p0)
     # both are free in one box around the spectrum's answer; a memory near the log's length leaves only sigma^2 beta determined, and the spread
     # of the means then says which sigma is meant
     spread = float(np.std(y))
@@ -109,11 +109,11 @@ def _switching(state: AxisState, block: int, sigma: float, rate: float) -> _Swit
 
     def switching(x: Array) -> float:
         stay = 0.5 * (1.0 + math.exp(-2.0 * length * math.exp(x[1])))
-        return kernels.switching_log_likelihood(y, white, phi, q, p0, math.exp(x[0]), stay, path) + prior(x)
+        return kernels.switching_log_likelihood(means, math.exp(x[0]), stay, path) + prior(x)
 
     def gaussian(x: Array) -> float:
         stay = 0.5 * (1.0 + math.exp(-2.0 * length * math.exp(x[1])))
-        return kernels.gauss_markov_log_likelihood(y, white, phi, q, p0, math.exp(x[0]), stay) + prior(x)
+        return kernels.gauss_markov_log_likelihood(means, math.exp(x[0]), stay) + prior(x)
 
     grid = [np.log([s * a, r * b]) for s, r in starts for a in (0.6, 0.9, 1.3) for b in (0.2, 0.5, 1.0, 2.0)]
     levels = laplace(switching, max(grid, key=switching), free)
@@ -121,7 +121,7 @@ def _switching(state: AxisState, block: int, sigma: float, rate: float) -> _Swit
     switching(levels.x)
     forward = path.copy()
     stay = 0.5 * (1.0 + math.exp(-2.0 * length * math.exp(levels.x[1])))
-    kernels.switching_log_likelihood(y[::-1].copy(), white, phi, q, p0, math.exp(levels.x[0]), stay, path)
+    kernels.switching_log_likelihood(means._replace(y=y[::-1].copy()), math.exp(levels.x[0]), stay, path)
     both = _smoothed(y, forward, path[::-1], math.exp(levels.x[0]), white)
     return _Switching(block, levels.evidence - smooth.evidence, levels.x, np.sqrt(np.diag(levels.covariance)), both)
 

@@ -101,10 +101,10 @@ class Loop:
         """
         Phi, K, H, node = self.machine
         out, none = np.zeros((node.size, 6, columns)), np.zeros((0, 0, 0))
-        error_kernels.respond(
-            Phi, K, H, node, self.use, none if D is None else D, np.arange(columns)[None] if at is None else at,
-            none if M is None else M, np.zeros(columns, dtype=np.int64) if begin is None else np.ascontiguousarray(begin), out,
-        )  # fmt: skip
+        loop = error_kernels.LoopArrays(Phi, K, H, node, self.use)
+        own = np.arange(columns)[None] if at is None else at
+        first = np.zeros(columns, dtype=np.int64) if begin is None else np.ascontiguousarray(begin)
+        error_kernels.respond(loop, none if D is None else D, own, none if M is None else M, first, out)
         return out
 
     def whiten(self, raw: Array) -> Array:
@@ -208,9 +208,8 @@ def _integrated(
     u = np.ascontiguousarray(np.stack([e[2] for e in entries])) if entries else np.zeros((0, motion.t.size))
     axis = np.array([e[1] for e in entries], dtype=np.int64)
     column = np.array([e[0] for e in entries], dtype=np.int64)
-    error_kernels.integrate_inputs(
-        motion.t, np.ascontiguousarray(motion.C), motion.f_n, nodes.epoch, u, axis, column, D, ramp
-    )
+    track = error_kernels.Track(motion.t, np.ascontiguousarray(motion.C), motion.f_n, nodes.epoch)
+    error_kernels.integrate_inputs(track, u, axis, column, D, ramp)
     return D, ramp
 
 

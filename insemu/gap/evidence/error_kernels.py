@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,17 +12,49 @@ from insemu.compiled import njit
 Array = NDArray[np.float64]
 
 
+class Track(NamedTuple):
+    """Where and how the IMU went.
+
+    Parameters
+    ----------
+    t : (n,) array
+        IMU times, s; row k describes the interval that ends there.
+    C : (n, 3, 3), f_n : (n, 3) arrays
+        Attitude and specific force in NED for each interval.
+    node : (k,) array of int
+        IMU rows of the nodes, increasing.
+    """
+
+    t: Array
+    C: Array
+    f_n: Array
+    node: NDArray[np.int64]
+
+
+class LoopArrays(NamedTuple):
+    """A filter in the loop.
+
+    Parameters
+    ----------
+    Phi : (nodes, n, n) array
+        Transition to each node from the one before.
+    K, H : (f, n, 6), (f, 6, n) arrays
+        Zero where a component was not used.
+    node : (f,) array of int
+        Node of each fix, not decreasing.
+    use : (f, 6) array of bool
+    """
+
+    Phi: Array
+    K: Array
+    H: Array
+    node: NDArray[np.int64]
+    use: NDArray[np.bool_]
+
+
 @njit(cache=True, nogil=True)
 def integrate_inputs(
-    t: Array,
-    C: Array,
-    f_n: Array,
-    node: NDArray[np.int64],
-    u: Array,
-    axis: NDArray[np.int64],
-    column: NDArray[np.int64],
-    D: Array,
-    ramp: Array,
+    track: Track, u: Array, axis: NDArray[np.int64], column: NDArray[np.int64], D: Array, ramp: Array
 ) -> None:  # pragma: no cover - compiled
     """Navigation errors that unit sensor errors build up between nodes.
 
@@ -29,12 +63,7 @@ def integrate_inputs(
 
     Parameters
     ----------
-    t : (n,) array
-        IMU times; row k describes the interval that ends there.
-    C : (n, 3, 3), f_n : (n, 3) arrays
-        Attitude and specific force in NED for each interval.
-    node : (k,) array of int
-        IMU rows of the nodes, increasing.
+    track : Track
     u : (e, n) array
         Unit sensor errors, rad/s or m/s^2.
     axis, column : (e,) arrays of int
@@ -44,6 +73,7 @@ def integrate_inputs(
     ramp : (k, 12, 9) or (k, 0, 9) array
         Written to: the same for a constant (0..5) and for a ramp from 0 to 1 across the interval (6..11) on each axis; nothing without rows.
     """
+    t, C, f_n, node = track
     entries = axis.size
     columns = D.shape[1]
     ramps = ramp.shape[1] > 0
@@ -125,16 +155,7 @@ def carried(Phi: Array, e: Array, cols: int, out: Array) -> None:  # pragma: no 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def respond(
-    Phi: Array,
-    K: Array,
-    H: Array,
-    node: NDArray[np.int64],
-    use: NDArray[np.bool_],
-    D: Array,
-    at: NDArray[np.int64],
-    M: Array,
-    begin: NDArray[np.int64],
-    out: Array,
+    loop: LoopArrays, D: Array, at: NDArray[np.int64], M: Array, begin: NDArray[np.int64], out: Array
 ) -> None:  # pragma: no cover - compiled
     """Innovations that navigation errors and errors of the fixes cause in a filter in the loop.
 
@@ -143,13 +164,7 @@ def respond(
 
     Parameters
     ----------
-    Phi : (nodes, n, n) array
-        Transition to each node from the one before.
-    K, H : (f, n, 6), (f, 6, n) arrays
-        Zero where a component was not used.
-    node : (f,) array of int
-        Node of each fix, not decreasing.
-    use : (f, 6) array of bool
+    loop : LoopArrays
     D : (nodes, a, 9) array
         Navigation errors built up since the node before, or there at the first; without rows where there are none.
     at : (nodes, a) or (1, a) array of int
@@ -161,6 +176,7 @@ def respond(
     out : (f, 6, columns) array of zeros
         Written to.
     """
+    Phi, K, H, node, use = loop
     n, every = Phi.shape[1], out.shape[2]
     e = np.zeros((n, every))
     ahead = np.zeros((n, every))

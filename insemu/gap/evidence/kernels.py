@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,51 @@ from insemu.compiled import njit
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+
+class Terms(NamedTuple):
+    """How components and their parameters make a curve.
+
+    Parameters
+    ----------
+    sizes, values : (c,) arrays
+        What each component's row is multiplied by, and which row it is.
+    once : (k, 4) array
+        Parameter, row of the derivative, power, component.
+    twice : (l, 5) array
+        Two parameters, row of the second derivative, power, component.
+    """
+
+    sizes: Array
+    values: Index
+    once: Index
+    twice: Index
+
+
+class PowerGain(NamedTuple):
+    """A low-pass: power gain, its derivatives by the ``last`` parameters and its second ones, (g, n); what is added to the density behind it."""
+
+    values: Array
+    last: int
+    floor: float
+
+
+class Slopes(NamedTuple):
+    """Slope (p,), information and curvature (p, p) of the negative log-likelihood; changed by what adds to them."""
+
+    gradient: Array
+    expected: Array
+    observed: Array
+
+
+class BlockMeans(NamedTuple):
+    """Block means (n,), the variance of their white noise, and a first-order background: transition, driving and initial variance."""
+
+    y: Array
+    white: float
+    phi: float
+    q: float
+    p0: float
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
@@ -179,48 +225,28 @@ def lagged_products(rows: Array, out: Array) -> None:  # pragma: no cover - comp
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def whittle(
-    sizes: Array,
-    rows: Array,
-    values: Index,
-    once: Index,
-    twice: Index,
-    gains: Array,
-    last: int,
-    floor: float,
-    half: Array,
-    seen: Array,
-    gradient: Array,
-    expected: Array,
-    observed: Array,
+    terms: Terms, rows: Array, gain: PowerGain, half: Array, seen: Array, slopes: Slopes
 ) -> float:  # pragma: no cover - compiled
     """Whittle's log-likelihood of a spectrum, a sum of rows times sizes under a gain; derivatives and curvatures are added to what is given.
 
     Parameters
     ----------
-    sizes, values : (c,) arrays
-        What each component's row is multiplied by, and which row it is.
+    terms : Terms
     rows : (r, n) array
         Densities of all components with their derivatives.
-    once : (k, 4) array
-        Parameter, row of the derivative, power, component.
-    twice : (l, 5) array
-        Two parameters, row of the second derivative, power, component.
-    gains : (g, n) array
-        Power gain, its derivatives by the last parameters, and its second ones.
-    last : int
-        Those parameters.
-    floor : float
-        Added to the density.
+    gain : PowerGain
     half, seen : (n,) arrays
         Half the degrees of freedom, and the measured density.
-    gradient, expected, observed : (p,), (p, p), (p, p) arrays
-        Changed: slope, information, and curvature of the negative log-likelihood.
+    slopes : Slopes
 
     Returns
     -------
     float
         NaN where the density is not positive.
     """
+    sizes, values, once, twice = terms
+    gains, last, floor = gain
+    gradient, expected, observed = slopes
     p, m, total = gradient.size, once.shape[0], 0.0
     slope, bent = np.zeros(p), np.zeros(rows.shape[0])
     info, loud, H = np.zeros((p, p)), np.zeros((p, p)), np.zeros((p, p))
@@ -228,20 +254,20 @@ def whittle(
         psd = 0.0
         for c in range(sizes.size):
             psd += sizes[c] * rows[values[c], b]
-        gain = gains[0, b]
-        S = psd * gain + floor
+        power = gains[0, b]
+        S = psd * power + floor
         if not S > 0.0:
             return math.nan
         ratio = seen[b] / S
         weight = half[b] * (ratio - 1.0) / S
         total -= half[b] * (math.log(S) + ratio)
         for r in range(rows.shape[0]):
-            bent[r] += rows[r, b] * weight * gain
+            bent[r] += rows[r, b] * weight * power
         for q in range(m):
             by = once[q, 2] * sizes[once[q, 3]] * rows[once[q, 1], b]
             for e in range(last):
                 H[once[q, 0], p - last + e] += by * weight * gains[1 + e, b]
-            slope[once[q, 0]] = by * gain
+            slope[once[q, 0]] = by * power
         at = 1 + last
         for e in range(last):
             slope[p - last + e] = gains[1 + e, b] * psd
@@ -298,24 +324,13 @@ def less_bent(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def informed(
-    sizes: Array,
-    rows: Array,
-    spectra: Array,
-    values: Index,
-    once: Index,
-    twice: Index,
-    score: Array,
-    products: Array,
-    least: float,
-    gradient: Array,
-    expected: Array,
-    observed: Array,
+    terms: Terms, rows: Array, spectra: Array, score: Array, products: Array, least: float, slopes: Slopes
 ) -> None:  # pragma: no cover - compiled
     """Add the slope and curvatures of a stationary vector's log-likelihood, the curvatures those of its spectrum (Whittle 1953).
 
     Parameters
     ----------
-    sizes, values, once, twice : as :func:`whittle` has them
+    terms : Terms
     rows, spectra : (r, n), (r, f) arrays
         Covariances with their derivatives, and their spectra.
     score : (n,) array
@@ -324,9 +339,10 @@ def informed(
         Spectrum of what the inverse covariance makes of the data.
     least : float
         Share of its largest value below which the density counts as that.
-    gradient, expected, observed : (p,), (p, p), (p, p) arrays
-        Changed.
+    slopes : Slopes
     """
+    sizes, values, once, twice = terms
+    gradient, expected, observed = slopes
     m, n, count = once.shape[0], score.size, products.size
     for q in range(m):
         total, row = 0.0, rows[once[q, 1]]
@@ -365,7 +381,7 @@ def informed(
 
 @njit(cache=True, nogil=True)
 def switching_log_likelihood(
-    y: Array, white: float, phi: float, q: float, p0: float, amplitude: float, stay: float, path: Array
+    means: BlockMeans, amplitude: float, stay: float, path: Array
 ) -> float:  # pragma: no cover - compiled
     """Log-likelihood of ``y_k = b_k + a s_k + white noise``, ``b`` a first-order Gaussian background, ``s = +-1`` switching at random.
 
@@ -374,15 +390,13 @@ def switching_log_likelihood(
 
     Parameters
     ----------
-    y : (n,) array
-        Block means.
-    white, phi, q, p0 : float
-        Variance of a block mean's white noise; transition, driving variance and initial variance of the background.
+    means : BlockMeans
     amplitude, stay : float
         Half the distance of the two levels; probability of staying for one block.
     path : (n,) array
         Written to: probability of the upper level.
     """
+    y, white, phi, q, p0 = means
     n = y.size
     total = 0.0
     m0, m1, v0, v1, w0 = 0.0, 0.0, p0, p0, 0.5
@@ -420,16 +434,17 @@ def switching_log_likelihood(
 
 @njit(cache=True, nogil=True)
 def gauss_markov_log_likelihood(
-    y: Array, white: float, phi: float, q: float, p0: float, amplitude: float, stay: float
+    means: BlockMeans, amplitude: float, stay: float
 ) -> float:  # pragma: no cover - compiled
     """Log-likelihood of the Gaussian process of the second moments that :func:`switching_log_likelihood` assumes (two-state Kalman filter).
 
     Parameters
     ----------
-    y, white, phi, q, p0 : as there
+    means : BlockMeans
     amplitude, stay : float
         Standard deviation of the Gauss-Markov part; its correlation over one block is ``2 stay - 1``.
     """
+    y, white, phi, q, p0 = means
     r = 2.0 * stay - 1.0
     g = amplitude * amplitude
     drive = g * (1.0 - r * r)

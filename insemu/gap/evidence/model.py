@@ -320,18 +320,13 @@ class Along:
                 return None
             value += scored[0]
             kernels.informed(
-                sizes,
+                self._places.terms(sizes),
                 self._covariance,
                 self._spectrum,
-                self._places.values,
-                self._places.once,
-                self._places.twice,
                 scored[1],
                 spectrum_of(scored[2][None, :])[0],
                 LEAST_DENSITY,
-                gradient,
-                expected,
-                observed,
+                kernels.Slopes(gradient, expected, observed),
             )
         if not (math.isfinite(value) and np.isfinite(gradient).all()):
             return None
@@ -371,21 +366,14 @@ class Along:
 
     def _spectral(self, x: Array, sizes: Array, gradient: Array, expected: Array, observed: Array) -> float | None:
         """Whittle's log likelihood; its derivatives, expected and observed curvature are added to what is given."""
-        places, rolloff = self._places, self.explanation.rolloff
+        rolloff = self.explanation.rolloff
         value = kernels.whittle(
-            sizes,
+            self._places.terms(sizes),
             self._density,
-            places.values,
-            places.once,
-            places.twice,
-            self._gains(x),
-            self._low_pass,
-            rolloff.floor if rolloff else 0.0,
+            kernels.PowerGain(self._gains(x), self._low_pass, rolloff.floor if rolloff else 0.0),
             self._half,
             self._seen,
-            gradient,
-            expected,
-            observed,
+            kernels.Slopes(gradient, expected, observed),
         )
         return None if math.isnan(value) else value
 
@@ -426,6 +414,10 @@ class _Places:
     ----------
     moving : sequence of _Moving
     """
+
+    def terms(self, sizes: Array) -> kernels.Terms:
+        """As compiled code takes them, at some sizes of the components."""
+        return kernels.Terms(sizes, self.values, self.once, self.twice)
 
     def __init__(self, moving: Sequence[_Moving]) -> None:
         shapes = [len(c.shaping.names) for c in moving]

@@ -98,6 +98,11 @@ class Gains:
     done: int
     volume: float
 
+    @property
+    def arrays(self) -> surrogate_kernels.GainArrays:
+        """As compiled code takes them."""
+        return surrogate_kernels.GainArrays(self.phi, self.variance, self.gain, self.root)
+
 
 @dataclass(frozen=True)
 class Surrogate:
@@ -125,6 +130,11 @@ class Surrogate:
     def __post_init__(self) -> None:
         if self.stated.size == 0:
             object.__setattr__(self, "stated", _over_medians(self.R, self.use))
+
+    @property
+    def _arrays(self) -> surrogate_kernels.FilterArrays:
+        """As compiled code takes it."""
+        return surrogate_kernels.FilterArrays(self.Phi, self.Q, self.K, self.H, self.R, self.P0, self.first, self.use)
 
     @classmethod
     def of(cls, result: FilterResult) -> Surrogate:
@@ -201,15 +211,14 @@ class Surrogate:
             Overwritten with the covariances of the fixes given those before.
         """
         sigma = noise.colour.sigma
-        phi, drive, variance = self.memory(noise.colour)
+        memory = surrogate_kernels.Memory(*self.memory(noise.colour))
         m = self.P0.shape[0] + np.count_nonzero(sigma)
         gain, root = np.zeros((self.t.size, 6, m)), np.zeros((self.t.size, 6))
         done = surrogate_kernels.surrogate_gains(
-            self.Phi, self.Q, self.H, self.R, self.P0, self.first, self.use, noise.factor,
-            phi, drive, variance, gain, root, np.empty((0, 6, 6)) if S is None else S,
-        )  # fmt: skip
+            self._arrays, noise.factor, memory, gain, root, np.empty((0, 6, 6)) if S is None else S
+        )
         volume = -float(np.sum(np.log(root[root > 0.0]))) if done == self.t.size else -math.inf
-        return Gains(phi, variance, gain, root, done, volume)
+        return Gains(memory.phi, memory.variance, gain, root, done, volume)
 
     def memory(self, colour: Colour) -> tuple[Array, Array, Array]:
         """Transitions (f, 6) and driving variances (f, 6) of a Gauss-Markov part to each fix, and its variances (6,) at the first, m^2 and (m/s)^2.
@@ -238,9 +247,8 @@ class Surrogate:
         """
         white, own = np.zeros_like(columns), np.empty((0, 6)) if ahead is None else ahead
         surrogate_kernels.surrogate_whitened(
-            self.Phi, self.K, self.H, np.ascontiguousarray(columns[: gains.done]), self.use,
-            gains.phi, gains.variance, gains.gain, gains.root, white, own,
-        )  # fmt: skip
+            self._arrays, np.ascontiguousarray(columns[: gains.done]), gains.arrays, white, own
+        )
         return white
 
     def ahead(self, nu: Array, noise: FixNoise, more: Array) -> tuple[Array, Array]:
@@ -283,9 +291,7 @@ class Surrogate:
             raise np.linalg.LinAlgError("a fix has no positive variance")
         white = self.whitened(nu[:, :, None], gains)[:, :, 0]
         u, D, S = np.zeros(nu.shape), np.zeros((len(nu), 6, 6)), np.zeros((len(nu), 6, 6))
-        surrogate_kernels.surrogate_left_out(
-            self.Phi, self.H, self.use, gains.phi, gains.variance, gains.gain, gains.root, white, u, D
-        )
+        surrogate_kernels.surrogate_left_out(self._arrays, gains.arrays, white, u, D)
         there = self.use == 1
         for own in (slice(0, 3), slice(3, 6)):
             D[:, own, own] += ~there[:, own, None] * np.eye(3)
@@ -312,10 +318,11 @@ class Surrogate:
             lanes_of(np.ascontiguousarray(np.moveaxis(v[order].reshape(*blocks, 6) ** 2, 1, 2)))
             for v in (factor, sigma)
         )
-        surrogate_kernels.surrogate_likelihoods(
-            self.Phi, self.Q, self.K, self.H, self.R, self.P0, self.first, self.nu, self.use, np.diff(self.t, prepend=self.t[0]),
-            self.stated, ratio, variance, lanes_of(rate[order].reshape(blocks)), lanes_of(follows[order].reshape(blocks)), lanes_of(out),
-        )  # fmt: skip
+        many = surrogate_kernels.NoiseLanes(
+            ratio, variance, lanes_of(rate[order].reshape(blocks)), lanes_of(follows[order].reshape(blocks))
+        )
+        gap = np.diff(self.t, prepend=self.t[0])
+        surrogate_kernels.surrogate_likelihoods(self._arrays, self.nu, gap, self.stated, many, lanes_of(out))
         values = np.empty(len(noises))
         values[order] = out.ravel()
         return np.where(np.isfinite(values), values, -math.inf)

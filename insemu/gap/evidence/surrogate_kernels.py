@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,70 @@ from insemu.gap.evidence.error_kernels import carried
 from insemu.lanes import any_of, where, zeros
 
 Array = NDArray[np.float64]
+
+
+class FilterArrays(NamedTuple):
+    """The nominal filter as compiled code takes it.
+
+    Parameters
+    ----------
+    Phi, Q : (f, n, n) arrays
+        Transition and driving covariance to each fix.
+    K : (f, n, 6) array
+        Gain, zero where a fix was not used.
+    H, R : (f, 6, n), (f, 6) arrays
+        Jacobian, believed variances.
+    P0 : (n, n) array
+    first : (6,) array
+        Variances of the fix that the filter started on, as it believed them: its error is that of the start, g included; zero of another start.
+    use : (f, 6) array of int
+        1 where a component was measured.
+    """
+
+    Phi: Array
+    Q: Array
+    K: Array
+    H: Array
+    R: Array
+    P0: Array
+    first: Array
+    use: NDArray[np.int64]
+
+
+class Memory(NamedTuple):
+    """A Gauss-Markov part g of the fixes: transition and driving variance to each fix, (f, 6), and initial variance, (6,), zero of no part."""
+
+    phi: Array
+    drive: Array
+    variance: Array
+
+
+class GainArrays(NamedTuple):
+    """What :func:`surrogate_gains` found, with the memory of g: ``phi`` (f, 6), ``variance`` (6,), ``gain`` (f, 6, m), ``root`` (f, 6)."""
+
+    phi: Array
+    variance: Array
+    gain: Array
+    root: Array
+
+
+class NoiseLanes(NamedTuple):
+    """Many noises of the fixes, eight side by side.
+
+    Parameters
+    ----------
+    ratio, sigma : (b, 6) arrays of lanes
+        Squared ratios of the true to the believed standard deviation; variances of the Gauss-Markov part, zero for none.
+    rate : (b,) array of lanes
+        Its inverse correlation times, 1/s.
+    follows : (b,) array of lanes
+        1 where its variances go with the stated ones, else 0.
+    """
+
+    ratio: Array
+    sigma: Array
+    rate: Array
+    follows: Array
 
 
 @njit(cache=True, nogil=True)
@@ -39,20 +104,7 @@ def _entries(
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def surrogate_gains(
-    Phi: Array,
-    Q: Array,
-    H: Array,
-    R: Array,
-    P0: Array,
-    first: Array,
-    use: NDArray[np.int64],
-    factor: Array,
-    phi_g: Array,
-    q_g: Array,
-    p_g: Array,
-    gain: Array,
-    root: Array,
-    S: Array,
+    nominal: FilterArrays, factor: Array, memory: Memory, gain: Array, root: Array, S: Array
 ) -> int:  # pragma: no cover - compiled
     """What a Kalman filter on the error of the nominal filter does with its innovations when the true noise is other than that filter believed.
 
@@ -62,19 +114,10 @@ def surrogate_gains(
 
     Parameters
     ----------
-    Phi, Q : (f, n, n) arrays
-        Transition and driving covariance to each fix.
-    H, R : (f, 6, n), (f, 6) arrays
-        Jacobian, believed variances.
-    P0 : (n, n) array
-    first : (6,) array
-        Variances of the fix that the filter started on, as it believed them: its error is that of the start, g included; zero of another start.
-    use : (f, 6) array of int
-        1 where a component was measured.
+    nominal : FilterArrays
     factor : (6,) array
         Ratio of the true to the believed standard deviation of each component.
-    phi_g, q_g, p_g : (f, 6), (f, 6), (6,) arrays
-        Transition and driving variance of g to each fix, its initial variance; a zero in ``p_g``: no such part.
+    memory : Memory
     gain, root : (f, 6, n + parts of g), (f, 6) arrays of zeros
         Written to: what one standard deviation of a component moves the error and g by, and that standard deviation.
     S : (f, 6, 6) array
@@ -85,6 +128,8 @@ def surrogate_gains(
     int
         Number of fixes up to the first whose variance is not positive: all where none is.
     """
+    Phi, Q, _, H, R, P0, first, use = nominal
+    phi_g, q_g, p_g = memory
     n, f = P0.shape[0], len(Phi)
     which = _coloured(p_g)
     extra = which.size
@@ -174,33 +219,23 @@ def surrogate_gains(
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def surrogate_whitened(
-    Phi: Array,
-    K: Array,
-    H: Array,
-    nu: Array,
-    use: NDArray[np.int64],
-    phi_g: Array,
-    p_g: Array,
-    gain: Array,
-    root: Array,
-    white: Array,
-    ahead: Array,
+    nominal: FilterArrays, nu: Array, gains: GainArrays, white: Array, ahead: Array
 ) -> None:  # pragma: no cover - compiled
     """Innovations, and any number of responses beside them, through the filter of :func:`surrogate_gains`: it is linear in them.
 
     Parameters
     ----------
-    Phi, H, use, phi_g, p_g, gain, root : arrays
-        As there.
-    K : (f, n, 6) array
-        Gain of the nominal filter, zero where a fix was not used.
+    nominal : FilterArrays
     nu : (fixes, 6, c) array
         Of the first fixes.
+    gains : GainArrays
     white : (fixes, 6, c) array
         Written to: whitened columns, zero where missing.
     ahead : (fixes, 6) array
         Written to: the first column less what the fixes before say of it; nothing where it is empty.
     """
+    Phi, _, K, H, _, _, _, use = nominal
+    phi_g, p_g, gain, root = gains
     n, m = Phi.shape[1], gain.shape[2]
     f, _, cols = nu.shape
     which = _coloured(p_g)
@@ -252,16 +287,7 @@ def surrogate_whitened(
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def surrogate_left_out(
-    Phi: Array,
-    H: Array,
-    use: NDArray[np.int64],
-    phi_g: Array,
-    p_g: Array,
-    gain: Array,
-    root: Array,
-    white: Array,
-    u: Array,
-    D: Array,
+    nominal: FilterArrays, gains: GainArrays, white: Array, u: Array, D: Array
 ) -> None:  # pragma: no cover - compiled
     """Rows of the innovations times the inverse of their covariance, and its blocks on the diagonal, by one pass back from the last fix.
 
@@ -273,8 +299,8 @@ def surrogate_left_out(
 
     Parameters
     ----------
-    Phi, H, use, phi_g, p_g, gain, root : arrays
-        As in :func:`surrogate_gains`.
+    nominal : FilterArrays
+    gains : GainArrays
     white : (f, 6) array
         Whitened innovations.
     u : (f, 6) array
@@ -282,6 +308,8 @@ def surrogate_left_out(
     D : (f, 6, 6) array of zeros
         Written to, for each fix.
     """
+    Phi, _, _, H, _, _, _, use = nominal
+    phi_g, p_g, gain, root = gains
     f, n, m = white.shape[0], Phi.shape[1], gain.shape[2]
     which = _coloured(p_g)
     r, a, K, NK = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m)
@@ -359,22 +387,7 @@ def surrogate_left_out(
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def surrogate_likelihoods(
-    Phi: Array,
-    Q: Array,
-    K: Array,
-    H: Array,
-    R: Array,
-    P0: Array,
-    first: Array,
-    nu: Array,
-    use: NDArray[np.int64],
-    gap: Array,
-    stated: Array,
-    ratio: Array,
-    sigma: Array,
-    rate: Array,
-    follows: Array,
-    out: Array,
+    nominal: FilterArrays, nu: Array, gap: Array, stated: Array, noises: NoiseLanes, out: Array
 ) -> None:  # pragma: no cover - compiled
     """Log-likelihoods of innovations by the filter of :func:`surrogate_gains` under many noises of the fixes, eight side by side.
 
@@ -382,23 +395,19 @@ def surrogate_likelihoods(
 
     Parameters
     ----------
-    Phi, Q, K, H, R, P0, first, use : arrays
-        As there.
+    nominal : FilterArrays
     nu : (f, 6) array
         Innovations.
     gap : (f,) array
         Time since the fix before, s.
     stated : (f, 6) array
         Stated variances over their medians.
-    ratio, sigma : (b, 6) arrays of lanes
-        Squared ratios of the true to the believed standard deviation; variances of the Gauss-Markov part, zero for none.
-    rate : (b,) array of lanes
-        Its inverse correlation times, 1/s.
-    follows : (b,) array of lanes
-        1 where its variances go with the stated ones, else 0.
+    noises : NoiseLanes
     out : (b,) array of lanes
         Written to; NaN where a variance is not positive.
     """
+    Phi, Q, K, H, R, P0, first, use = nominal
+    ratio, sigma, rate, follows = noises
     n = P0.shape[0]
     which = np.zeros(6, dtype=np.int64)
     # entries of each row of a transition, and those of a row of a Jacobian, that are not zero
