@@ -11,6 +11,7 @@ a part of it (:class:`_Part`): typed and lowered once, optimized and made into i
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import json
 import os
@@ -18,7 +19,6 @@ import platform
 import re
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from functools import cache, wraps
@@ -33,12 +33,13 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataC
 from numba.core.ccallback import CFunc
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Flags, compile_extra
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher, _FunctionCompiler
 from numba.core.registry import cpu_target
 from numba.core.targetconfig import ConfigStack, TargetConfig
-from numba.core.types.functions import BaseFunction
 from numba.core.typing.templates import make_concrete_template
 from numba.misc.appdirs import AppDirs
+from numba.types import BaseFunction
 
 from insemu.progress import say_once
 
@@ -63,25 +64,26 @@ def baseline() -> str:
     return "x86-64-v3" if all(features.get(name) for name in V3) else "generic"
 
 
-class _Depth(threading.local):
-    """Whether this thread compiles a kernel of :func:`njit`."""
+#: While one of these kernels is compiled Python looks for garbage rarely: numba makes millions of objects that stay (a fifth of its time).
+RARELY = (100_000, 20, 20)
+_inside = False
 
-    inside = False
 
-    @contextmanager
-    def entered(self) -> Iterator[None]:
-        """Compile such a kernel."""
-        before, self.inside = self.inside, True
+@contextmanager
+def _compiling() -> Iterator[None]:
+    """Compile a kernel of :func:`njit`; numba compiles one at a time."""
+    global _inside
+    with global_compiler_lock:
+        before, _inside, often = _inside, True, gc.get_threshold()
+        gc.set_threshold(*RARELY)
         try:
             yield
         finally:
-            self.inside = before
+            _inside = before
+            gc.set_threshold(*often)
 
 
-_kernels = _Depth()
-
-
-class _Library(JITCodeLibrary):  # type: ignore[misc]
+class _Library(JITCodeLibrary):
     """Code of a part, which waits for the kernel that it is linked into."""
 
     def _optimize_final_module(self) -> None:
@@ -92,7 +94,7 @@ class _Library(JITCodeLibrary):  # type: ignore[misc]
         self._finalized = True
 
 
-class _Parts(_FunctionCompiler):  # type: ignore[misc]
+class _Parts(_FunctionCompiler):
     """A function as parts of the kernels that call it, by the types of its arguments: without instructions, not callable from Python or C."""
 
     def __init__(self, kernel: Any) -> None:
@@ -125,7 +127,7 @@ def _template(plain: Callable[..., Any]) -> Callable[..., Any]:
     @wraps(plain)
     def get_call_template(self: Any, args: Any, kws: Any) -> Any:
         pysig, folded = self._compiler.fold_argument_types(args, kws)
-        if not _kernels.inside or self.is_compiling or tuple(folded) in self.overloads:
+        if not _inside or self.is_compiling or tuple(folded) in self.overloads:
             return plain(self, args, kws)
         if not hasattr(self, "_insemu_parts"):
             self._insemu_parts = _Parts(self)
@@ -167,7 +169,7 @@ def _remembered(plain: Callable[..., Any]) -> Callable[..., Any]:
 def _aim() -> None:
     """Make numba compile quickly, and for the baseline, unless a program has compiled with it before."""
     # numba hashes the values of all options whenever it looks a function up: a tenth of the time to compile. Equality still compares all values.
-    TargetConfig.__hash__ = lambda self: hash(frozenset(self._values))  # type: ignore[method-assign]
+    TargetConfig.__hash__ = lambda self: hash(frozenset(self._values))
     BaseFunction.get_call_type = _remembered(BaseFunction.get_call_type)
     Dispatcher.get_call_template = _template(Dispatcher.get_call_template)
     Dispatcher.get_overload = _overload(Dispatcher.get_overload)
@@ -339,7 +341,7 @@ def njit(*, cache: bool = False, **options: Any) -> Callable[[_F], _F]:
             kernel._cache = kept_here
 
         def compiled(sig: Any) -> Any:
-            with kept_here.one_at_a_time() if kept_here else nullcontext(), _kernels.entered():
+            with kept_here.one_at_a_time() if kept_here else nullcontext(), _compiling():
                 return compile_(sig)
 
         kernel.compile = compiled
@@ -356,7 +358,7 @@ def cfunc(signature: Any) -> Callable[[Callable[..., None]], Any]:
             return numba.cfunc(signature, cache=True)(function)
         callback = CFunc(function, sigutils.normalize_signature(signature), locals={}, options={})
         callback._cache = _Kept(function)
-        with callback._cache.one_at_a_time(), _kernels.entered():
+        with callback._cache.one_at_a_time(), _compiling():
             callback.compile()
         return callback
 

@@ -278,7 +278,7 @@ def _as_lanes(context: Any, values: Any) -> Any:
     return out(values), generate
 
 
-@njit(nogil=True)
+@njit(nogil=True, no_cpython_wrapper=True)  # what it returns is nothing to Python
 def _room(size: int) -> Any:
     """Zeros that begin where a vector of the processor does."""
     room = np.zeros(LANES * (size + 1))
