@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import re
 import select
@@ -227,7 +228,9 @@ def test_a_kernel_that_others_call_is_a_part_of_each_and_compiled_by_itself_for_
     assert second(16.0) == plain(16.0) == 8.0
     with pytest.raises(ValueError, match="negative"):
         second(-1.0)
-    assert len(root.overloads) == 1
+    assert root(25) == 5.0
+    assert second(25) == 10.0
+    assert len(root.overloads) == 2
 
 
 def test_a_part_that_is_refused_is_refused_again() -> None:
@@ -235,11 +238,8 @@ def test_a_part_that_is_refused_is_refused_again() -> None:
     def wrong(x: float) -> float:
         return x.none_of_its_own  # type: ignore[attr-defined,no-any-return]
 
-    @compiled.njit()
-    def caller(x: float) -> float:
-        return wrong(x)
-
     for _ in range(2):
+        caller = compiled.njit()(lambda x: wrong(x))
         with pytest.raises(TypingError, match="none_of_its_own"):
             caller(1.0)
 
@@ -261,3 +261,13 @@ def test_types_of_a_call_are_found_once_for_the_same_types() -> None:
             remembered("f", "cpu", ("none",), {})
     assert [a for a in asked if a[2] != ("none",)] == calls
     assert len(asked) == len(calls) + 2
+
+
+def test_python_collects_garbage_as_before_once_kernels_are_compiled() -> None:
+    before = gc.get_threshold()
+    with pytest.raises(ZeroDivisionError), compiled._compiling():
+        with compiled._compiling():
+            pass
+        assert gc.get_threshold() == compiled.RARELY
+        raise ZeroDivisionError
+    assert gc.get_threshold() == before
