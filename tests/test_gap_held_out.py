@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from insemu import rotation
+from insemu.gap import session
 from insemu.gap.candidates.mounting import Mounted
-from insemu.gap.holdout import DriveScore, burst
-from insemu.gap.session import _scored
-from insemu.gap.verdict import Burst, Finding, GapReport, Interval, Value
+from insemu.gap.holdout import DriveScore, burst, scored
+from insemu.gap.verdict import Burst, Finding, GapReport, Interval, Step, Value, Where
 from insemu.report.gap import burst_said, is_better
+from insemu.report.gap_charts import shrink_chart
+from tests.test_gap_worth import finding
 
 REPORT = GapReport(
     "named", (), (), (), Interval.positive(4.0, 0.2), Interval.positive(1.07, 0.08), Interval.normal(6.0, 0.1)
@@ -80,14 +83,30 @@ def test_the_score_counts_the_motion_across_the_vehicle_with_its_own_spread() ->
     nothing = Mounted(None, np.zeros(3), (), ())
     mounted = replace(nothing, chi_square=(160.0, 80.0), dof=80, gain=(80.0, 16.0))
     score = DriveScore(REPORT.gap_before, REPORT.gap_after, Interval.normal(6.0, 0.1), None)
-    found = _scored(REPORT, score, mounted)
+    found = scored(REPORT, score, mounted, ())
     z = stats.norm.isf(0.025)
     assert found.held_out.value == pytest.approx(6.0 + 2.0)
     spread = z * np.hypot(0.1, 16.0 / 40)
     assert (found.held_out.low, found.held_out.high) == pytest.approx((8.0 - spread, 8.0 + spread), rel=1e-4)
     assert (found.gap_before.value, found.gap_after.value) == pytest.approx((0.5 * (4.0 + 2.0), 0.5 * (1.07 + 1.0)))
     assert found.gap_after.log_sd * found.gap_after.value == pytest.approx(0.5 * np.hypot(0.08, np.sqrt(2.0 / 80)))
-    assert _scored(REPORT, score, nothing).held_out == score.gain
+    assert scored(REPORT, score, nothing, ()).held_out == score.gain
+
+
+def test_the_steps_of_the_gap_begin_and_end_where_its_indices_do() -> None:
+    """The wrong mounting is taken off before the search, with the second step."""
+    arm = ("lever_arm", "gnss", ("x",))
+    steps = (Step((), 4.0, 0.1), Step((), 2.0, 0.1), Step((arm,), 1.07, 0.1))
+    mounted = Mounted(None, np.zeros(3), (), (), chi_square=(160.0, 80.0), dof=80, gain=(80.0, 16.0))
+    score = DriveScore(REPORT.gap_before, REPORT.gap_after, Interval.normal(6.0, 0.1), None, steps)
+    found = scored(REPORT, score, mounted, [finding("mounting", "imu", rpy_yaw=0.1)])
+    assert [s.added for s in found.shrink] == [(), (("mounting", "imu", ("x",)),), (arm,)]
+    assert [s.index for s in found.shrink] == pytest.approx([found.gap_before.value, 1.5, found.gap_after.value])
+    assert [s.spread for s in found.shrink] == pytest.approx([0.5 * np.hypot(0.1, np.sqrt(2.0 / 80))] * 3)
+    (view,) = shrink_chart(found, ["nominal model", "mounting", "lever arm"]).views
+    low, high, line, _ = view.lines
+    assert list(line.y) == [s.index for s in found.shrink]
+    assert (high.y - low.y) / 2.0 == pytest.approx(stats.norm.isf(0.025) * found.shrink[0].spread, rel=1e-3)
 
 
 @pytest.mark.parametrize(("gain", "word"), [(0.19, "not shown"), (0.21, "yes"), (-0.19, "not shown"), (-0.21, "no")])
@@ -96,3 +115,31 @@ def test_better_is_what_zero_is_no_part_of(gain: float, word: str) -> None:
     finding = Finding("random_constant", "", "accel", ("x",), (), 0.99, 9.0, ())
     report = replace(REPORT, findings=(finding,), held_out=Interval.normal(gain, 0.1))
     assert is_better(report)[0] == word
+
+
+@pytest.mark.parametrize("before", [None, (0.3, -0.2, 2.0)])
+def test_a_mounting_is_corrected_by_what_the_refined_filter_shows(
+    before: tuple[float, float, float] | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The correction turns the axes after the first turn, which is no sum of angles."""
+    values = {"rpy_roll": 0.01, "rpy_pitch": 0.05, "rpy_yaw": -0.04}
+    more = replace(finding("mounting", "imu", **values), nats=4.0)
+    asked: list[bool] = []
+
+    def found(recording: None, nominal: None, say: None, *, known: bool) -> Mounted:
+        asked.append(known)
+        return Mounted(more, np.array([*values.values()]), (), (Where("new", "imu", "y", None, 0.5),))
+
+    monkeypatch.setattr(session, "find_mounting", found)
+    monkeypatch.setattr(session, "worth_of_mounting", lambda *_: 7.0)
+    old, other = Where("old", "imu", "y", None, 0.1), Where("whiteness", "gnss", "north", 1.0, 0.2)
+    first = replace(finding("mounting", "imu", **dict(zip(values, before or (), strict=False))), nats=90.0)
+    found_before = (finding("clock_drift", "imu", drift=1e-4), *((first,) if before else ()))
+    report = replace(REPORT, findings=found_before, after=(old, other))
+    out = session._mounted_again(report, (None, None), Mounted(None, np.zeros(3), (), (old,)), None, None)
+    (now,) = [f for f in out.findings if f.effect == "mounting"]
+    assert asked == [before is not None] and now.metres == 7.0 and now.nats == (90.0 if before else 4.0)
+    total = rotation.dcm_from_rpy([*values.values()]) @ rotation.dcm_from_rpy(before or (0.0, 0.0, 0.0))
+    np.testing.assert_allclose(rotation.dcm_from_rpy([v.value for v in now.parameters]), total, atol=1e-14)
+    assert [v.high - v.value for v in now.parameters] == pytest.approx([v.high - v.value for v in more.parameters])
+    assert [w.statistic for w in out.after] == ["whiteness", "new"]
