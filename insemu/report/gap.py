@@ -310,7 +310,7 @@ def _shrink(report: GapReport) -> list[Block]:
         return []
     words = ["nominal model", *("; ".join(_placed_name(*a) for a in s.added) for s in report.shrink[1:])]
     rows = [[str(k), w, f"{s.index:.3g}"] for k, (w, s) in enumerate(zip(words, report.shrink, strict=True))]
-    return [shrink_chart(report, words), Table(("step", "added", "gap index"), rows, "Steps of the chart")]
+    return [shrink_chart(report), Table(("step", "added", "gap index"), rows, "Steps of the chart", left=2)]
 
 
 def _pictures(report: GapReport, after: bool) -> list[Block]:

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
 #: Innovations that a chart shows at most.
 MOST_FIXES = 2500
-#: Steps of the gap whose names fit below the axis.
-FEW_STEPS = 5
 _DIRECTIONS = ("north", "east", "down")
 
 
@@ -122,32 +120,37 @@ def _dots(values: NDArray[Any], names: Sequence[str] = _DIRECTIONS) -> list[Line
     return [Line(name, values[:, k], COLOURS[k], points=True, width=1.0) for k, name in enumerate(names)]
 
 
-def shrink_chart(report: GapReport, words: Sequence[str]) -> Chart:
+def shrink_chart(report: GapReport) -> Chart:
     """Gap index on data that was not used for naming, from the nominal model to the refined one.
 
     Parameters
     ----------
     report : GapReport
         With ``shrink``.
-    words : sequence of str
-        What each step adds.
     """
-    x, y = np.arange(float(len(words))), np.array([step.index for step in report.shrink])
+    y = np.array([step.index for step in report.shrink])
+    x = np.arange(float(y.size))
     spread = 1.96 * np.array([step.spread for step in report.shrink])
     lines = [
         *band("a right model, 19 of 20", (1.0 - spread, 1.0 + spread), GREY, 0),
         Line("gap index", y, COLOURS[0]),
         Line("after each step", y, COLOURS[0], points=True, width=7.0, of="gap index"),
     ]
-    few = len(words) <= FEW_STEPS
-    ticks = [(k, w.replace(" ", "\n", 1) if few else f"{k:g}") for k, w in zip(x.tolist(), words, strict=True)]
     return Chart(
         "The gap, step by step",
-        "Gap index on data that was not used for naming, as effects are added to the model one after the other. Grey is where the index of a right "
-        "model lies.",
+        "Gap index on data that was not used for naming, as effects are added to the model one after the other: 0 is the nominal model, the table "
+        "has the rest. Grey is where the index of a right model lies.",
         x,
-        "added to the model" if few else "step (see the table)",
-        [View("Gap index", "reduced chi-square", lines, log_y=bool(y.max() > 10.0 * y.min()), ticks=ticks)],
+        "step",
+        [
+            View(
+                "Gap index",
+                "reduced chi-square",
+                lines,
+                bool(y.max() > 10.0 * y.min()),
+                [(k, f"{k:g}") for k in x.tolist()],
+            )
+        ],
         group="steps",
     )
 
