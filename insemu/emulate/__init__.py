@@ -23,7 +23,7 @@ from insemu.emulate.path import Mounting, SmoothPath
 from insemu.emulate.pieces import ErrorPieces, Following, TrueStates, recorded_pieces, simulated_pieces
 from insemu.emulate.reckon import DeadReckoning, dead_reckon
 from insemu.emulate.sensor import Corrupted, TemperatureProfile, corrupt, covariates_of
-from insemu.emulate.sources import Source, load_flight, read_track
+from insemu.emulate.sources import MotionSource, Source, load_flight, read_track
 from insemu.emulate.track import SmoothedTrack, Track, bridged_gap, held_out_distance, smooth_track, turn_rate
 from insemu.emulate.trajectory import TRAJECTORIES, built_in
 from insemu.emulate.vehicle import VEHICLES
@@ -42,6 +42,7 @@ __all__ = [
     "Following",
     "IdealImu",
     "Levels",
+    "MotionSource",
     "MotionSpectrum",
     "Mount",
     "Mounting",
