@@ -13,7 +13,7 @@ PYTHONPATH=$root "$python" "$root/.ci/kernels.py" "$work/kernels" "${@:2}"
 unset PYTHONPATH
 "$python" -m venv "$work/venv"
 INSEMU_KERNELS=$work/kernels "$work/venv/bin/python" -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir "$work" "$root"
-"$work/venv/bin/python" -m pip install --quiet --disable-pip-version-check --constraint "$root/constraints.txt" "$work"/insemu-*.whl
+"$work/venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --constraint "$root/constraints.txt" "$work"/insemu-*.whl
 cd "$work"
 insemu=$work/venv/bin/insemu
 "$work/venv/bin/python" -c 'import sys, insemu; sys.exit(None if insemu.__file__.startswith(sys.prefix) else f"found {insemu.__file__}")'

@@ -4,10 +4,14 @@ All kernels are made for one baseline instead of the processor at hand (:func:`b
 machine has compiled serves another. A wheel brings them compiled (:data:`SHIPPED`); what it lacks is compiled once and kept in
 :func:`own_folder`. numba renews a cached function when the file that defines it changes, but not when a function that was inlined into it
 changes in another file: here a change of any file with kernels renews all of them.
+
+numba makes a whole program of every kernel: optimized, in instructions, callable from Python and from C. One that another kernel calls is here
+a part of it (:class:`_Part`): typed and lowered once, optimized and made into instructions with the kernel that Python calls.
 """
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import json
 import os
@@ -16,20 +20,26 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
-from functools import cache
+from contextlib import contextmanager, nullcontext, suppress
+from functools import cache, wraps
 from importlib import import_module
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
 import numba
 import portalocker
-from numba.core import config, sigutils
+from numba.core import config, errors, sigutils
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
 from numba.core.ccallback import CFunc
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Flags, compile_extra
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.dispatcher import Dispatcher, _FunctionCompiler
 from numba.core.registry import cpu_target
-from numba.core.targetconfig import TargetConfig
+from numba.core.targetconfig import ConfigStack, TargetConfig
+from numba.core.typing.templates import make_concrete_template
 from numba.misc.appdirs import AppDirs
+from numba.types import BaseFunction
 
 from insemu.progress import say_once
 
@@ -54,10 +64,115 @@ def baseline() -> str:
     return "x86-64-v3" if all(features.get(name) for name in V3) else "generic"
 
 
+#: While one of these kernels is compiled Python looks for garbage rarely: numba makes millions of objects that stay (a fifth of its time).
+RARELY = (100_000, 20, 20)
+_inside = False
+
+
+@contextmanager
+def _compiling() -> Iterator[None]:
+    """Compile a kernel of :func:`njit`; numba compiles one at a time."""
+    global _inside
+    with global_compiler_lock:
+        before, _inside, often = _inside, True, gc.get_threshold()
+        gc.set_threshold(*RARELY)
+        try:
+            yield
+        finally:
+            _inside = before
+            gc.set_threshold(*often)
+
+
+class _Library(JITCodeLibrary):
+    """Code of a part, which waits for the kernel that it is linked into."""
+
+    def _optimize_final_module(self) -> None:
+        """Leave that to the kernel, which optimizes all of its parts at once."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+class _Parts(_FunctionCompiler):
+    """A function as parts of the kernels that call it, by the types of its arguments: without instructions, not callable from Python or C."""
+
+    def __init__(self, kernel: Any) -> None:
+        given = kernel.targetdescr, kernel.targetoptions, kernel.locals, kernel._compiler.pipeline_class
+        super().__init__(kernel.py_func, *given)
+        self.made: dict[tuple[Any, ...], Any] = {}
+
+    def make(self, args: tuple[Any, ...]) -> None:
+        """Have the part for these types."""
+        if args not in self.made:
+            try:
+                self.made[args] = self.compile(args, None)
+            except errors.ForceLiteralArg as e:
+                raise e.bind_fold_arguments(lambda args, kws: self.fold_argument_types(args, kws)[1]) from None
+
+    def _compile_core(self, args: Any, return_type: Any) -> Any:
+        flags, typing, target = Flags(), self.targetdescr.typing_context, self.targetdescr.target_context
+        self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
+        flags.no_cpython_wrapper = flags.no_cfunc_wrapper = flags.no_compile = True
+        library = _Library(target.codegen(), self.py_func.__qualname__)
+        given = typing, target, self.py_func, args, return_type, flags, self.locals
+        made = compile_extra(*given, library=library, pipeline_class=self.pipeline_class)
+        target.insert_user_function(library, made.fndesc, [library])
+        return made
+
+
+def _template(plain: Callable[..., Any]) -> Callable[..., Any]:
+    """What the types of a call are: of a part where a kernel calls."""
+
+    @wraps(plain)
+    def get_call_template(self: Any, args: Any, kws: Any) -> Any:
+        pysig, folded = self._compiler.fold_argument_types(args, kws)
+        if not _inside or self.is_compiling or tuple(folded) in self.overloads:
+            return plain(self, args, kws)
+        if not hasattr(self, "_insemu_parts"):
+            self._insemu_parts = _Parts(self)
+        with self._compiling_counter:
+            self._insemu_parts.make(tuple(folded))
+        made = self._insemu_parts.made[tuple(folded)]
+        return make_concrete_template("part", key=self.py_func.__name__, signatures=[made.signature]), pysig, folded, {}
+
+    return get_call_template
+
+
+def _overload(plain: Callable[..., Any]) -> Callable[..., Any]:
+    """What is called: the part where a kernel calls and the function was not compiled by itself."""
+
+    @wraps(plain)
+    def get_overload(self: Any, sig: Any) -> Any:
+        args = tuple(sigutils.normalize_signature(sig)[0])
+        if args not in self.overloads and hasattr(self, "_insemu_parts"):
+            return self._insemu_parts.made[args].library
+        return plain(self, sig)
+
+    return get_overload
+
+
+def _remembered(plain: Callable[..., Any]) -> Callable[..., Any]:
+    """Types of a call of a function of numba, which tries a dozen ways anew for each addition in a kernel."""
+    found: dict[Any, Any] = {}
+
+    @wraps(plain)
+    def get_call_type(self: Any, context: Any, args: Any, kws: Any) -> Any:
+        key = self, context, args, tuple(kws.items()), ConfigStack.top_or_none()
+        if key not in found:
+            found[key] = plain(self, context, args, kws)
+        return found[key]
+
+    return get_call_type
+
+
 def _aim() -> None:
     """Make numba compile quickly, and for the baseline, unless a program has compiled with it before."""
     # numba hashes the values of all options whenever it looks a function up: a tenth of the time to compile. Equality still compares all values.
-    TargetConfig.__hash__ = lambda self: hash(frozenset(self._values))  # type: ignore[method-assign]
+    TargetConfig.__hash__ = lambda self: hash(frozenset(self._values))
+    BaseFunction.get_call_type = _remembered(BaseFunction.get_call_type)
+    Dispatcher.get_call_template = _template(Dispatcher.get_call_template)
+    Dispatcher.get_overload = _overload(Dispatcher.get_overload)
     if "_toplevel_target_context" not in vars(cpu_target):
         name = baseline()
         if os.environ.setdefault("NUMBA_CPU_NAME", name) == name:
@@ -219,14 +334,17 @@ def njit(*, cache: bool = False, **options: Any) -> Callable[[_F], _F]:
 
     def decorated(function: _F) -> _F:
         kernel: Any = numba.njit(**options)(function)
-        if cache and hasattr(kernel, "compile"):  # with NUMBA_DISABLE_JIT it is the function itself
-            kept_here, compile_ = _Kept(function), kernel.compile
+        if not hasattr(kernel, "compile"):  # with NUMBA_DISABLE_JIT it is the function itself
+            return function
+        kept_here, compile_ = _Kept(function) if cache else None, kernel.compile
+        if kept_here is not None:
+            kernel._cache = kept_here
 
-            def compiled(sig: Any) -> Any:
-                with kept_here.one_at_a_time():
-                    return compile_(sig)
+        def compiled(sig: Any) -> Any:
+            with kept_here.one_at_a_time() if kept_here else nullcontext(), _compiling():
+                return compile_(sig)
 
-            kernel._cache, kernel.compile = kept_here, compiled
+        kernel.compile = compiled
         return kernel  # type: ignore[no-any-return]
 
     return decorated
@@ -240,7 +358,7 @@ def cfunc(signature: Any) -> Callable[[Callable[..., None]], Any]:
             return numba.cfunc(signature, cache=True)(function)
         callback = CFunc(function, sigutils.normalize_signature(signature), locals={}, options={})
         callback._cache = _Kept(function)
-        with callback._cache.one_at_a_time():
+        with callback._cache.one_at_a_time(), _compiling():
             callback.compile()
         return callback
 

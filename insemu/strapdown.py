@@ -323,11 +323,13 @@ def _run(t: Array, gyro: Array, accel: Array, nav: Array, gravity: int, hold_ver
     n = t.size
     out[0] = nav
     h0, vd0 = nav[2], nav[5]
+    turn, push, turn_before, push_before = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for k in range(1, n):
         previous = max(k - 1, 1)
+        turn[:], push[:], turn_before[:], push_before[:] = gyro[k], accel[k], gyro[previous], accel[previous]
         dt = t[k] - t[k - 1]
         dt_prev = t[previous] - t[previous - 1]
-        step(nav, gyro[k], accel[k], gyro[previous], accel[previous], dt, dt_prev, gravity)
+        step(nav, turn, push, turn_before, push_before, dt, dt_prev, gravity)
         if hold_vertical:
             nav[2], nav[5] = h0, vd0
         out[k] = nav

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import re
 import select
@@ -12,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numba
 import portalocker
 import pytest
 from numba.core.errors import TypingError
@@ -202,3 +204,70 @@ def test_what_cannot_be_compiled_is_let_go(folders: tuple[Path, Path]) -> None:
     (lock,) = own.glob("*.lock")
     with open(lock, "ab") as file:
         portalocker.lock(file, portalocker.LOCK_EX | portalocker.LOCK_NB)
+
+
+def _root(x: float) -> float:
+    if x < 0.0:
+        raise ValueError("negative")
+    return float(x**0.5)
+
+
+def test_a_kernel_that_others_call_is_a_part_of_each_and_compiled_by_itself_for_python() -> None:
+    root: Any = compiled.njit(nogil=True)(_root)
+    plain = numba.njit(lambda x: 2.0 * root(x))
+
+    def doubled(x: float) -> float:
+        return 2.0 * root(x)  # type: ignore[no-any-return]
+
+    first, second = (compiled.njit(nogil=True)(doubled) for _ in range(2))
+    assert first(9.0) == 6.0
+    with pytest.raises(ValueError, match="negative"):
+        first(-1.0)
+    assert not root.overloads
+    assert root(16.0) == 4.0
+    assert second(16.0) == plain(16.0) == 8.0
+    with pytest.raises(ValueError, match="negative"):
+        second(-1.0)
+    assert root(25) == 5.0
+    assert second(25) == 10.0
+    assert len(root.overloads) == 2
+
+
+def test_a_part_that_is_refused_is_refused_again() -> None:
+    @compiled.njit()
+    def wrong(x: float) -> float:
+        return x.none_of_its_own  # type: ignore[attr-defined,no-any-return]
+
+    for _ in range(2):
+        caller = compiled.njit()(lambda x: wrong(x))
+        with pytest.raises(TypingError, match="none_of_its_own"):
+            caller(1.0)
+
+
+def test_types_of_a_call_are_found_once_for_the_same_types() -> None:
+    asked: list[Any] = []
+
+    def plain(function: str, context: Any, args: Any, kws: Any) -> str:
+        asked.append((function, context, args, kws))
+        if args == ("none",):
+            raise TypingError("no such call")
+        return f"{function}{args}{kws}"
+
+    remembered = compiled._remembered(plain)
+    calls = [("f", "cpu", (1,), {}), ("f", "cpu", (2,), {}), ("g", "cpu", (1,), {}), ("f", "cpu", (1,), {"k": 1})]
+    for _ in range(2):
+        assert [remembered(*call) for call in calls] == [f"{f}{args}{kws}" for f, _, args, kws in calls]
+        with pytest.raises(TypingError):
+            remembered("f", "cpu", ("none",), {})
+    assert [a for a in asked if a[2] != ("none",)] == calls
+    assert len(asked) == len(calls) + 2
+
+
+def test_python_collects_garbage_as_before_once_kernels_are_compiled() -> None:
+    before = gc.get_threshold()
+    with pytest.raises(ZeroDivisionError), compiled._compiling():
+        with compiled._compiling():
+            pass
+        assert gc.get_threshold() == compiled.RARELY
+        raise ZeroDivisionError
+    assert gc.get_threshold() == before

@@ -78,9 +78,10 @@ def seen_at_truth(ekf: LooselyCoupledEKF, imu: ImuRecord, nav: Array, events: Ev
     """
     aug, f = ekf.augmentation, events.epoch.size
     step = imu.widths(0.0)[events.epoch]
-    c_of = np.broadcast_to(aug.coefficients(np.hstack(aug.sensed(imu))[events.epoch] / step), (f, aug.m))
+    c_of = np.empty((f, aug.m))
+    c_of[:] = aug.coefficients(np.hstack(aug.sensed(imu))[events.epoch] / step)
     nu, H, R = np.zeros((f, 6)), np.zeros((f, 6, 9 + aug.m)), np.zeros((f, 6, 6))
-    seen = _Axes(aug.white, np.array(c_of), aug.axis, ekf.lever_arm)
+    seen = _Axes(aug.white, c_of, aug.axis, ekf.lever_arm)
     _fixes(imu.t, imu.gyro, nav, events.epoch, events.tau, seen, Rows(nu, H, R))
     return nu, H, R
 

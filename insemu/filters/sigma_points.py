@@ -264,12 +264,14 @@ def _rows_of(p: Points, o: Design, event: tuple[int, float, Array, Array], befor
     m, w, n = c_of.size, R.shape[0], p.d.shape[1]
     kind, tau, z, settings = event
     here, past, rates, lever = np.empty(13), np.empty(13), np.empty((3, 3)), np.empty(3)
-    H, noise, none = np.zeros((w, n)), np.zeros((w, w)), np.zeros(12)
+    H, noise, none, error = np.zeros((w, n)), np.zeros((w, w)), np.zeros(12), np.empty(9)
     for i in range(nu.shape[0]):
         g, lane = i // LANES, i % LANES
         for j in range(13):
             here[j], past[j] = p.nav[g, j, lane], nav_before[j]
-        correct(past, p.d[g, :, lane])
+        for j in range(9):
+            error[j] = p.d[g, j, lane]
+        correct(past, error)
         for a in range(3):
             seen = 0.0
             for s in range(m):

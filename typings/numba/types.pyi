@@ -11,6 +11,7 @@ int64: Any
 intp: Any
 boolean: Any
 Array: Any
+BaseFunction: Any
 Boolean: Any
 Float: Any
 Integer: Any

@@ -32,27 +32,16 @@ AIDS: dict[str, Aid] = {
 CODES = {name: k for k, name in enumerate(AIDS, start=1)}
 
 
-def _either(code: int, fill: Callable[..., None], rest: Callable[..., None]) -> Callable[..., None]:
-    """One aid, or the rest: compiled code cannot look a function up in a table."""
-
-    @njit(nogil=True)
-    def chosen(kind: int, moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
-        if kind == code:
-            fill(moment, z, settings, rows)
-        else:
-            rest(kind, moment, z, settings, rows)
-
-    return chosen
+def _choice() -> Callable[..., None]:
+    """One branch for each kind, a fix for what has no code of its own: compiled code cannot look a function up in a table."""
+    known = {f"fill_{CODES[name]}": aid.fill for name, aid in AIDS.items()} | {"fill_fix": fill_fix}
+    given = "(moment, z, settings, rows)"
+    branches = "".join(f"\n if kind == {code}: return fill_{code}{given}" for code in CODES.values())
+    exec(f"def chosen(kind, moment, z, settings, rows):{branches}\n fill_fix{given}", known)
+    return njit(nogil=True)(known["chosen"])
 
 
-@njit(nogil=True)
-def _fill(kind: int, moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
-    """A fix is what has no other code."""
-    fill_fix(moment, z, settings, rows)
-
-
-for _name, _aid in AIDS.items():
-    _fill = _either(CODES[_name], _aid.fill, _fill)
+_fill = _choice()
 
 
 @njit(cache=True, nogil=True)

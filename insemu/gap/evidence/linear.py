@@ -278,6 +278,7 @@ def stationary_score(gamma: Array, rows: Array, scales: Array) -> tuple[float, A
         Log-likelihood, derivatives, and sums of products at every lag of what ``C^-1`` makes of the data. Nothing where the autocovariance is not
         positive definite.
     """
+    rows = np.ascontiguousarray(rows)
     solved, by_lag = np.empty_like(rows), np.empty(gamma.size)
     logdet = kernels.toeplitz_solve(gamma, rows, solved, by_lag)
     if not math.isfinite(logdet):

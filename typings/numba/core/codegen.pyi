@@ -1,0 +1,6 @@
+from typing import Any
+
+class JITCodeLibrary:
+    _finalized: bool
+    def __init__(self, codegen: Any, name: str) -> None: ...
+    def _finalize_dynamic_globals(self) -> None: ...

@@ -1,0 +1,5 @@
+from typing import Any
+
+Flags: Any
+
+def compile_extra(*given: Any, **named: Any) -> Any: ...

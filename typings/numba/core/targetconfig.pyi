@@ -1,0 +1,4 @@
+from typing import Any
+
+ConfigStack: Any
+TargetConfig: Any

@@ -1,0 +1,3 @@
+from typing import Any
+
+def make_concrete_template(name: str, key: object, signatures: list[Any]) -> Any: ...
