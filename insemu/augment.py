@@ -4,7 +4,7 @@ The filter's states are position, velocity and attitude errors and then, axis by
 y, z, accelerometer x, y, z. Sample k of an axis carries ``c x_k + v_k`` with ``x_k = Phi x_(k-1) + w_k``; nothing here knows how a filter
 propagates them. Calibration states (scale factor, misalignment) belong to an axis too, and are driven by what the triad measures; a scale factor that
 follows the temperature by that times the temperature.
-States of the GNSS installation (lever arm, latency) come last.
+States of the GNSS installation (lever arm, latency) and of its receiver (clock) come last.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError, nearest
-from insemu.noise import ARMA, DR, LARGEST_LOG_TIME, RC, Follows, NoiseModel, Process, StateBlock, shared_processes
+from insemu.noise import ARMA, DR, LARGEST_LOG_TIME, RC, Clock, Follows, NoiseModel, Process, StateBlock, shared_processes
 from insemu.records import AXES, ImuRecord
 
 Array = NDArray[np.float64]
@@ -130,6 +130,8 @@ class Extras:
     stationary_start : float
         Factor on the standard deviations with which the states of stationary processes of the axes begin: 1 as a sensor that has run for long, 0 as
         if they were known to be zero, which makes a filter learn them slowly.
+    clock : Clock, optional
+        Bias and drift of the receiver's clock, for raw observations.
     """
 
     gyro_scale: float = 0.0
@@ -142,10 +144,11 @@ class Extras:
     accel_scale_temperature: float = 0.0
     reference_temperature: float = 25.0
     stationary_start: float = 1.0
+    clock: Clock | None = None
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not (np.isfinite(value) and (value >= 0 or name == "reference_temperature")):
+            if name != "clock" and not (np.isfinite(value) and (value >= 0 or name == "reference_temperature")):
                 raise InputError(f"{name} is {value!r}, expected a standard deviation that is not negative")
 
 
@@ -539,6 +542,10 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
             constants(count, sigma)
             axis_of += [-1] * count
             driver += [-1] * count
+    if extras.clock is not None:
+        slices["clock"] = slice(len(names), len(names) + 2)
+        blocks.append(extras.clock.block(dt))
+        names, axis_of, driver = [*names, "clock_bias", "clock_drift"], [*axis_of, -1, -1], [*driver, -1, -1]
 
     laws, law_of, white_of, timed = _laws(models, first, dt, len(axis_of))
     stacked = _share(models, first, StateBlock.stack(blocks, dt))

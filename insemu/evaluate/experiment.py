@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,7 @@ from insemu.filters import (
 )
 from insemu.fit import FitResult, fit, fit_together
 from insemu.noise import ARMA, CommonDraws, NoiseModel, NotStationary, axis_unit, load
-from insemu.records import AXES, AidRecord, GnssRecord, ImuRecord, Recording, Series, Trajectory
+from insemu.records import AXES, AidRecord, GnssRecord, ImuRecord, RawRecord, Recording, Series, Trajectory
 from insemu.scenario import AxisSource, Scenario, code_version, digest
 from insemu.strapdown import NavState, trajectory_of
 
@@ -54,6 +54,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+Received = TypeVar("Received", GnssRecord, RawRecord)
 #: What really happens, emulated or recorded.
 World = EmulatedWorld | RecordedWorld
 
@@ -74,6 +75,7 @@ class _Realized:
     true: TrueStates | None
     start: NavState
     start_sigma: InitialSigma
+    raw: RawRecord | None
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ class _Prepared:
 
     ekf: NavigationFilter
     imu: ImuRecord
-    gnss: GnssRecord
+    gnss: GnssRecord | RawRecord
     aids: Sequence[AidRecord]
     known: ImuRecord
     rows: NDArray[np.intp]
@@ -364,7 +366,8 @@ class Experiment:
         realized = []
         for index in indices:
             recording, true = self.world.realized(index)
-            realized.append(_Realized(recording, true, *self.world.start(index, recording.imu)))
+            raw = self.world.raw(index) if isinstance(self.world, EmulatedWorld) else None
+            realized.append(_Realized(recording, true, *self.world.start(index, recording.imu), raw))
         flown = {name: self._flown(name, realized) for name in self.beliefs}
         return [
             of_designs({name: found[k] for name, found in flown.items()}, self.world.output_times)
@@ -417,7 +420,8 @@ class Experiment:
         imu = self._prefiltered(name, self.world.imu_for(known.imu, ekf))
         # the true states are those of the data as they came: they say nothing of what is left after a compensation
         true = one.true if known is one.recording else None
-        return _Prepared(ekf, imu, self.believed(name, known.gnss), known.aids, known.imu, rows, unaided, true)
+        gnss = known.gnss if one.raw is None or self.scenario.designs[name].options.states.clock is None else one.raw
+        return _Prepared(ekf, imu, self.believed(name, gnss), known.aids, known.imu, rows, unaided, true)
 
     def _judged(self, name: str, one: _Realized, p: _Prepared, run: FilterResult) -> dict[str, Any]:
         """What is kept of one design in one realization."""
@@ -555,9 +559,12 @@ class Experiment:
         clean = [clean_of(*item) for item in zip([*imu.gyro.T, *imu.accel.T], prefilter.per_axis(), strict=True)]
         return replace(imu, gyro=np.stack(clean[:3], axis=1), accel=np.stack(clean[3:], axis=1))
 
-    def believed(self, design: str, fixes: GnssRecord) -> GnssRecord:
-        """The fixes with the standard deviations that a design believes."""
+    def believed(self, design: str, fixes: Received) -> Received:
+        """The fixes or raw observations with the standard deviations that a design believes."""
         tuning = self.scenario.designs[design].options.tuning
+        if isinstance(fixes, RawRecord):
+            std = fixes.range_std * tuning.position, fixes.rate_std * tuning.velocity
+            return replace(fixes, range_std=std[0], rate_std=std[1])
         out = fixes
         if tuning.position != 1.0 and fixes.pos_std_ned is not None:
             out = replace(out, pos_std_ned=fixes.pos_std_ned * tuning.position)

@@ -18,9 +18,10 @@ from insemu.filters.aid import SETTINGS, Aid
 from insemu.filters.aids.standstill import Standstill
 from insemu.filters.measurements import fill_fix
 from insemu.filters.rows import Moment, Rows
+from insemu.filters.satellites import fill_satellite
 from insemu.records import AidRecord
 
-__all__ = ["AIDS", "CODES", "Standstill", "aid_jacobian", "fill_rows"]
+__all__ = ["AIDS", "CODES", "SATELLITE", "Standstill", "aid_jacobian", "fill_rows"]
 
 Array = NDArray[np.float64]
 
@@ -30,6 +31,8 @@ AIDS: dict[str, Aid] = {
 }
 #: What stands for each in the compiled loop, from 1 on (0 is a fix).
 CODES = {name: k for k, name in enumerate(AIDS, start=1)}
+#: Code of raw observations of one satellite.
+SATELLITE = 1 + len(AIDS)
 
 
 def _either(code: int, fill: Callable[..., None], rest: Callable[..., None]) -> Callable[..., None]:
@@ -51,23 +54,24 @@ def _fill(kind: int, moment: Moment, z: Array, settings: Array, rows: Rows) -> N
     fill_fix(moment, z, settings, rows)
 
 
+_fill = _either(SATELLITE, fill_satellite, _fill)
 for _name, _aid in AIDS.items():
     _fill = _either(CODES[_name], _aid.fill, _fill)
 
 
 @njit(cache=True, nogil=True)
 def fill_rows(kind: int, moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
-    """Rows of one fix or aid.
+    """Rows of one fix, satellite or aid.
 
     Parameters
     ----------
     kind : int
-        :data:`~insemu.filters.measurements.FIX`, or the code of an aid (:data:`CODES`).
+        :data:`~insemu.filters.measurements.FIX`, :data:`SATELLITE`, or the code of an aid (:data:`CODES`).
     moment : Moment
     z : (w,) array
         Measured values.
     settings : (SETTINGS,) array
-        Constants of the aid, for example a lever arm.
+        Constants of the aid, for example a lever arm, or the motion of the satellite.
     rows : Rows
         Overwritten.
     """
@@ -91,7 +95,9 @@ def aid_jacobian(aid: AidRecord, nav: Array) -> Array:
     settings, state = np.zeros(SETTINGS), np.zeros(13)
     settings[: len(aid.settings)], state[:10] = aid.settings, nav
     still, none, nobody = np.zeros(3), np.zeros(0), np.zeros(0, dtype=np.int64)
-    moment = Moment(state, state, 1.0, 0.0, still, still, still, 1, np.zeros(6), none, nobody, still, -1, -1, none)
+    moment = Moment(
+        state, state, 1.0, 0.0, still, still, still, 1, np.zeros(6), none, nobody, still, -1, -1, none, -1, none
+    )
     rows = Rows(np.empty(w), np.empty((w, 9)), np.empty((w, w)))
     fill_rows(CODES[aid.kind], moment, np.zeros(w), settings, rows)
     return rows.H
