@@ -17,7 +17,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.errors import InputError, nearest
-from insemu.noise import ARMA, DR, LARGEST_LOG_TIME, RC, Clock, Follows, NoiseModel, Process, StateBlock, shared_processes
+from insemu.noise import (
+    ARMA,
+    DR,
+    LARGEST_LOG_TIME,
+    RC,
+    Clock,
+    Follows,
+    NoiseModel,
+    Process,
+    StateBlock,
+    shared_processes,
+)
 from insemu.records import AXES, ImuRecord
 
 Array = NDArray[np.float64]

@@ -37,7 +37,10 @@ def single_point(raw: RawRecord) -> tuple[GnssRecord, Array]:
         No epoch has a fix.
     """
     used = np.isfinite(raw.range) & np.isfinite(raw.rate)
-    raw, used = raw.rows(used.sum(axis=1) >= 4), used[used.sum(axis=1) >= 4]
+    enough = used.sum(axis=1) >= 4
+    if not enough.any():
+        raise InputError("no epoch has a fix, expected four satellites at least")
+    raw, used = raw.rows(enough), used[enough]
     weight = np.where(used, 1.0 / raw.range_std**2, 0.0)
     x = np.zeros((len(raw), 4))
     for _ in range(_STEPS):
@@ -52,12 +55,12 @@ def single_point(raw: RawRecord) -> tuple[GnssRecord, Array]:
     turn[:, :3, :3], turn[:, 3, 3] = np.swapaxes(earth.dcm_en(llh[:, 0], llh[:, 1]), 1, 2), 1.0
 
     def spread(Q: Array) -> Array:
-        return np.sqrt(np.einsum("nij,njk,nik->ni", turn, Q, turn))
+        return np.asarray(np.sqrt(np.einsum("nij,njk,nik->ni", turn, Q, turn)))
 
-    of_place, dilution = (spread(np.linalg.inv(_normal(H, w))) for w in (weight, used.astype(np.float64)))
+    of_place, dilution = (spread(_inverse(H, w)) for w in (weight, used.astype(np.float64)))
     good = np.linalg.norm(dilution[:, :3], axis=1) <= LARGEST_PDOP
     if not good.any():
-        raise InputError(f"no epoch has a fix, expected four satellites and a dilution of at most {LARGEST_PDOP:g}")
+        raise InputError(f"no epoch has a fix, expected a dilution of at most {LARGEST_PDOP:g}")
     velocity = np.einsum("nij,nj->ni", turn, v)[:, :3]
     fixes = GnssRecord(raw.t, llh, velocity, of_place[:, :3], spread(of_velocity)[:, :3])
     return fixes.rows(good), dilution[good]
@@ -70,12 +73,12 @@ def _sight(raw: RawRecord, place: Array) -> tuple[Array, Array]:
     return away / distance[:, :, None], distance
 
 
-def _normal(H: Array, weight: Array) -> Array:
-    """Normal matrices (n, 4, 4) of rows (n, s, 4) with weights (n, s)."""
-    return np.einsum("nsi,ns,nsj->nij", H, weight, H)
+def _inverse(H: Array, weight: Array) -> Array:
+    """Inverse normal matrices (n, 4, 4) of rows (n, s, 4) with weights (n, s)."""
+    return np.asarray(np.linalg.inv(np.einsum("nsi,ns,nsj->nij", H, weight, H)), dtype=np.float64)
 
 
 def _least_squares(H: Array, y: Array, weight: Array) -> tuple[Array, Array]:
     """Solutions (n, 4) of rows (n, s, 4) for values (n, s) with weights, and their covariances (n, 4, 4)."""
-    Q = np.linalg.inv(_normal(H, weight))
-    return np.einsum("nij,nsj,ns,ns->ni", Q, H, weight, y), Q
+    Q = _inverse(H, weight)
+    return np.asarray(np.einsum("nij,nsj,ns,ns->ni", Q, H, weight, y)), Q

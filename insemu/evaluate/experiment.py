@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +54,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-Received = TypeVar("Received", GnssRecord, RawRecord)
 #: What really happens, emulated or recorded.
 World = EmulatedWorld | RecordedWorld
 
@@ -84,7 +83,7 @@ class _Prepared:
 
     ekf: NavigationFilter
     imu: ImuRecord
-    gnss: GnssRecord | RawRecord
+    gnss: Any  # fixes, or the raw observations
     aids: Sequence[AidRecord]
     known: ImuRecord
     rows: NDArray[np.intp]
@@ -420,8 +419,20 @@ class Experiment:
         imu = self._prefiltered(name, self.world.imu_for(known.imu, ekf))
         # the true states are those of the data as they came: they say nothing of what is left after a compensation
         true = one.true if known is one.recording else None
-        gnss = known.gnss if one.raw is None or self.scenario.designs[name].options.states.clock is None else one.raw
-        return _Prepared(ekf, imu, self.believed(name, gnss), known.aids, known.imu, rows, unaided, true)
+        gnss = self._received(name, ekf, one, known.gnss)
+        return _Prepared(ekf, imu, gnss, known.aids, known.imu, rows, unaided, true)
+
+    def _received(
+        self, name: str, ekf: NavigationFilter, one: _Realized, fixes: GnssRecord
+    ) -> GnssRecord | RawRecord:
+        """What a design takes of the receiver, as it believes it: fixes, or with states of the clock raw observations."""
+        options = self.scenario.designs[name].options
+        if one.raw is None or options.states.clock is None:
+            return self.believed(name, fixes)
+        if not isinstance(ekf, LooselyCoupledEKF):
+            raise InputError("this filter takes no raw observations, expected one of insemu's", where=f"designs.{name}")
+        std = one.raw.range_std * options.tuning.position, one.raw.rate_std * options.tuning.velocity
+        return replace(one.raw, range_std=std[0], rate_std=std[1])
 
     def _judged(self, name: str, one: _Realized, p: _Prepared, run: FilterResult) -> dict[str, Any]:
         """What is kept of one design in one realization."""
@@ -559,12 +570,9 @@ class Experiment:
         clean = [clean_of(*item) for item in zip([*imu.gyro.T, *imu.accel.T], prefilter.per_axis(), strict=True)]
         return replace(imu, gyro=np.stack(clean[:3], axis=1), accel=np.stack(clean[3:], axis=1))
 
-    def believed(self, design: str, fixes: Received) -> Received:
-        """The fixes or raw observations with the standard deviations that a design believes."""
+    def believed(self, design: str, fixes: GnssRecord) -> GnssRecord:
+        """The fixes with the standard deviations that a design believes."""
         tuning = self.scenario.designs[design].options.tuning
-        if isinstance(fixes, RawRecord):
-            std = fixes.range_std * tuning.position, fixes.rate_std * tuning.velocity
-            return replace(fixes, range_std=std[0], rate_std=std[1])
         out = fixes
         if tuning.position != 1.0 and fixes.pos_std_ned is not None:
             out = replace(out, pos_std_ned=fixes.pos_std_ned * tuning.position)

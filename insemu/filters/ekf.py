@@ -198,9 +198,10 @@ class LooselyCoupledEKF:
         imu : ImuRecord
             Of any kind; see :meth:`~insemu.records.ImuRecord.as_increments`.
         gnss : GnssRecord, RawRecord or None
-            Fixes, or raw observations where the clock is a state (tightly coupled), at their own times: each is used at the first IMU epoch at or after it, taken back to its time. Fixes before the second
-            and after the last IMU stamp are left out. Where the latency is a state, a fix's own time is its stamp less the latency as
-            estimated by then, so that fixes that come late are used in the order in which they were valid.
+            Fixes, or raw observations where the clock is a state (tightly coupled), at their own times: each is used at the first IMU epoch at
+            or after it, taken back to its time. What comes before the second and after the last IMU stamp is left out. Where the latency is a
+            state, a fix's own time is its stamp less the latency as estimated by then, so that fixes that come late are used in the order in
+            which they were valid.
         initial : NavState or Trajectory
             At ``imu.t[0]``; of a trajectory its first row.
         initial_sigma : InitialSigma or (n, n) covariance
@@ -447,12 +448,15 @@ class LooselyCoupledEKF:
         Raises
         ------
         InputError
-            A fix without a standard deviation, raw observations without the states that they need, or an aid that :func:`~insemu.filters.events.aid_events` refuses.
+            A fix without a standard deviation, raw observations without the states that they need, or an aid that
+            :func:`~insemu.filters.events.aid_events` refuses.
         """
         parts: list[Events] = []
         if isinstance(gnss, RawRecord):
             if self.clock_at < 0 or max(self.installation()) >= 0:
-                raise InputError("raw observations need the states of the clock, and no lever arm or latency as a state")
+                raise InputError(
+                    "raw observations need the states of the clock, and no lever arm or latency as a state"
+                )
             parts.append(raw_events(t, self.dt, gnss))
         elif gnss is not None:
             parts.append(fix_events(t, self.dt, gnss, self.gnss_sigma, imposed=self.options.imposed_gnss_sigma))

@@ -197,10 +197,13 @@ def raw_events(t: Array, dt: float, raw: RawRecord) -> Events:
     inside = (raw.t > t[0] + SAME_TIME * dt) & (raw.t <= t[-1] + SAME_TIME * dt)
     row, satellite = np.nonzero(inside[:, None] & (np.isfinite(raw.range) | np.isfinite(raw.rate)))
     epoch, tau = _on_epochs(t, dt, raw.t[row])
-    z, std = (np.stack([a[row, satellite], b[row, satellite]], axis=1) for a, b in ((raw.range, raw.rate), (raw.range_std, raw.rate_std)))
+    z, std = (
+        np.stack([a[row, satellite], b[row, satellite]], axis=1)
+        for a, b in ((raw.range, raw.rate), (raw.range_std, raw.rate_std))
+    )
     settings = np.hstack([raw.place[row, satellite], raw.velocity[row, satellite]])
     kind = np.full(row.size, SATELLITE, dtype=np.int64)
-    return Events(raw.t[row], epoch, kind, epoch, tau, z, std**2, settings)
+    return Events(raw.t[row], epoch, kind, epoch - 1, tau, z, std**2, settings)
 
 
 def aid_events(t: Array, dt: float, aid: AidRecord) -> Events:

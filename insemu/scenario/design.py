@@ -77,7 +77,8 @@ class StateKeys(Section):
     lever_arm: Length = constant("each component of the way from IMU to antenna")
     latency: Seconds = constant("time by which the fixes come late")
     clock: Annotated[Clock, Made(ClockKeys)] | None = key(
-        None, "bias and drift of the receiver's clock; a design with them is tightly coupled to the raw observations (gnss.raw)"
+        None,
+        "bias and drift of the receiver's clock; a design with them is tightly coupled to the raw observations (gnss.raw)",
     )
     stationary_start: float = key(
         1.0,

@@ -531,7 +531,9 @@ class Scenario(Section):
         if self.gnss.raw is not None and self.truth is not None:
             for effect in self.truth.effects:
                 if effect.sensor == "gnss":
-                    raise InputError(f"the effect '{effect.id}' acts on fixes, which gnss.raw makes of raw observations")
+                    raise InputError(
+                        f"the effect '{effect.id}' acts on fixes, which gnss.raw makes of raw observations"
+                    )
         there = {use.aid.name for use in self.aids}
         for effect in self.truth.effects if self.truth is not None else ():
             if effect.sensor in AID_KINDS and effect.sensor not in there:
@@ -551,7 +553,9 @@ class Scenario(Section):
     def check_design(self, name: str, design: Design) -> None:
         """Raise ``InputError`` where the scenario lacks what the design is made of."""
         if design.options.states.clock is not None and self.gnss.raw is None:
-            raise InputError(f"the design '{name}' has states of the receiver's clock, expected the key 'gnss.raw', too")
+            raise InputError(
+                f"the design '{name}' has states of the receiver's clock, expected the key 'gnss.raw', too"
+            )
         sources = [s for s in design.sources().values() if isinstance(s, AxisSource)]
         if self.fits is None and any(s.fit for s in sources):
             raise InputError(
