@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.trial.drives import stage
 from insemu.effects import EffectUse
-from insemu.gap import NextExperiment, design, experiment_said, find_gap
+from insemu.gap import NextExperiment, design, find_gap, promise_text
 
 
 def settle(recordings: int) -> NextExperiment | None:
@@ -34,7 +34,7 @@ def main() -> None:
         print(
             f"{p.manoeuvre.name:50s} {p.duration_s:5.0f} s  {100.0 * p.share:5.1f} % of the pairs, lead {p.lead:6.1f} nats"
         )
-    print("\n".join(experiment_said(x)))
+    print("\n".join(promise_text(x)))
 
 
 if __name__ == "__main__":

@@ -55,5 +55,23 @@ def test_an_immaterial_difference_is_none_however_many_realizations_show_it() ->
     assert {s.knows for s in standings(slightly.with_data({"nees": slightly.nees * 1.2}))} == {"optimistic"}
 
 
+def test_an_outage_that_contradicts_a_design_is_named_though_all_outages_together_do_not() -> None:
+    plain = replace(results(runs=400), outages=[(20.0, 10.0), (50.0, 0.0), (60.0, 0.0), (70.0, 0.0)])
+    ends = [plain.end_index(k) for k in range(len(plain.outages))]
+    scaled = np.ones(plain.nees.shape[2])
+    scaled[ends[0]] = 1.25**2
+    said = answer(plain.with_data({"nees": plain.nees * scaled}))
+    assert said is not None
+    for s in said.standings:
+        # together errors are 1.07 times the stated, which MATERIAL allows; 1.25 times after one outage it does not
+        assert s.knows == "yes" and [start for start, _ in s.but] == [20.0]
+        # five standard errors of the mean of 400 runs of nine degrees of freedom
+        assert s.but[0][1] == pytest.approx(1.25, abs=5 * 1.25 * np.sqrt(2 / 3600) / 2)
+        after = f"after the outage at 20 s (errors {s.but[0][1]:.2g} times the stated)"
+        assert s.verdict == f"knows its error over all outages, but not {after}"
+    assert said.standings[0].exceptions in said.sentence
+    assert not any(s.but for s in standings(plain))
+
+
 def test_without_outages_there_is_no_answer() -> None:
     assert answer(replace(results(), outages=[])) is None

@@ -12,7 +12,7 @@ from insemu.emulate import built_in, gnss_fixes, ideal_imu
 from insemu.gap import find_gap
 from insemu.gap.candidates.timing import find_times
 from insemu.gap.drive.preparation import Flown
-from insemu.gap.worth import worth_of_settled
+from insemu.gap.worth import worth_of_early
 from insemu.records import GnssRecord, Recording
 
 
@@ -86,7 +86,7 @@ def test_both_faults_of_time_are_settled_before_the_search(drive) -> None:
     assert (offset.effect, lag.effect) == ("imu_gnss_time_offset", "gnss_velocity_lag")
     assert offset.parameters[0].value == pytest.approx(0.25, abs=0.02)
     assert lag.parameters[0].value == pytest.approx(0.3, abs=0.03)
-    assert worth_of_settled(first.prepared, lag) > 0.1
+    assert worth_of_early(first.prepared, lag) > 0.1
     assert find_times(first, ("imu_gnss_time_offset",)) == []
     assert [f.effect for f in find_times(first, ("gnss_velocity_lag",))] in ([], ["imu_gnss_time_offset"])
     alone = find_times(Flown.of(recorded(drive, 0.25, 0.0), drive.nominal))

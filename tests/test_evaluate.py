@@ -29,7 +29,7 @@ from insemu.evaluate import (
 from insemu.evaluate.dataset import labelled
 from insemu.evaluate.results import DesignInfo
 from insemu.records import Trajectory
-from insemu.report.experiment_charts import nees_chart
+from insemu.report.experiment_charts import error_chart, nees_chart
 from insemu.report.tables import full_headline
 
 
@@ -251,5 +251,7 @@ def test_a_table_has_no_column_without_a_value() -> None:
     (header, _), (less, rows) = full_headline(whole), full_headline(bare)
     assert "attitude deg" in set(header) - set(less)
     assert {len(row) for row in rows} == {len(less)}
+    views = [{v.name for v in error_chart(r).views} for r in (whole, bare)]
+    assert views[0] - views[1] and all("ttitude" in name for name in views[0] - views[1])
     chart = nees_chart(whole)
     assert [line.label for line in chart.views[0].lines if not line.of] == ["one", "two", "99% bounds"]

@@ -22,9 +22,9 @@ from insemu.gap.beliefs.refined import refined_nominal
 from insemu.gap.candidates.aid_outliers import Mixture
 from insemu.gap.drive.aid_residuals import Measured, Smoothed
 from insemu.gap.drive.preparation import Flown
-from insemu.gap.evidence.aid_model import AidModel, Beside
+from insemu.gap.evidence.aid_model import AidModel, AidResiduals
 from insemu.gap.problems import drive_without
-from insemu.gap.problems.aids import aids_looked_at, check_aids
+from insemu.gap.problems.aids import check_aids, find_aid_effects
 from insemu.gap.verdict import Finding, Interval, Value
 from insemu.records import AidRecord, Recording
 from insemu.report.gap import gap_headline, is_better
@@ -153,7 +153,7 @@ HIDDEN = {
 
 def looked(recording: Recording, believed, without=()):
     flown = Flown.of(*drive_without(recording, believed))
-    return aids_looked_at(flown.prepared, flown.recording.aids, without, lambda _: None)
+    return find_aid_effects(flown.prepared, flown.recording.aids, without, lambda _: None)
 
 
 def test_good_aids_have_no_findings(plain, folder) -> None:
@@ -193,14 +193,14 @@ def test_the_last_part_of_an_aid_judges_what_its_first_part_names(folder) -> Non
     recording, believed = recorded(folder, HIDDEN["scale"][0], HIDDEN["offset"][0]), nominal(folder)
     flown = Flown.of(*drive_without(recording, believed))
     aids = flown.recording.aids
-    found = aids_looked_at(flown.prepared, aids, (), lambda _: None, hold_out=True)
+    found = find_aid_effects(flown.prepared, aids, (), lambda _: None, hold_out=True)
     assert set(found.held_out) == {"odometer", "barometer"}
     assert min(g.low for g in found.held_out.values()) > 0.0
     # an offset that ends with the first part predicts the last part worse
     barometer = next(a for a in aids if a.kind == "barometer")
     late = barometer.t > 200.0
     ends = replace(barometer, values=barometer.values - 3.0 * late[:, None])
-    changed = aids_looked_at(flown.prepared, (ends,), (), lambda _: None, hold_out=True)
+    changed = find_aid_effects(flown.prepared, (ends,), (), lambda _: None, hold_out=True)
     gain = changed.held_out["barometer"]
     assert gain.high < found.held_out["barometer"].low
 
@@ -209,9 +209,9 @@ def test_the_last_part_of_an_aid_judges_what_its_first_part_names(folder) -> Non
 def test_an_effect_that_is_left_out_is_not_named(plain) -> None:
     odometer = next(a for a in plain[0].aids if a.kind == "odometer")
     long = replace(odometer.rows(odometer.t < 150.0), values=1.01 * odometer.values[odometer.t < 150.0])
-    (named,) = (aids_looked_at(plain[2].prepared, (long,), (), lambda _: None)).findings
+    (named,) = (find_aid_effects(plain[2].prepared, (long,), (), lambda _: None)).findings
     assert named.effect == "odometer_scale_factor"
-    found = aids_looked_at(plain[2].prepared, (long,), ("odometer_scale_factor",), lambda _: None)
+    found = find_aid_effects(plain[2].prepared, (long,), ("odometer_scale_factor",), lambda _: None)
     assert "odometer_scale_factor" not in {s.effect for s in found.findings}
 
 
@@ -284,7 +284,7 @@ def test_a_wheel_across_whose_way_nothing_moves_may_be_turned_by_much(plain) -> 
     forward = odometer.values[:, 0]
     turned = np.column_stack([math.cos(0.2) * forward, -math.sin(0.2) * forward, 0.0 * forward])
     made = (replace(odometer, values=turned),)
-    found = {s.effect: s for s in aids_looked_at(flown.prepared, made, (), lambda _: None).findings}
+    found = {s.effect: s for s in find_aid_effects(flown.prepared, made, (), lambda _: None).findings}
     yaw = next(v for v in found["odometer_misalignment"].parameters if v.name == "yaw")
     assert yaw.value == pytest.approx(0.2, abs=0.02)
     # and the same wheel the other way about: what should be across is 2 m/s, and zero is said
@@ -309,7 +309,7 @@ ODD = {
 @pytest.mark.parametrize("name", ODD)
 def test_an_aid_that_is_there_in_part_is_looked_at_as_far_as_it_goes(plain, name: str) -> None:
     aid = ODD[name](next(a for a in plain[0].aids if a.kind == "odometer"))
-    found = aids_looked_at(plain[2].prepared, (aid,), (), lambda _: None)
+    found = find_aid_effects(plain[2].prepared, (aid,), (), lambda _: None)
     assert not found.findings
     assert bool(found.where) == (name not in ("hardly any", "no noise stated"))
 
@@ -317,7 +317,7 @@ def test_an_aid_that_is_there_in_part_is_looked_at_as_far_as_it_goes(plain, name
 # -- the likelihood -------------------------------------------------------------------------------------------------------------------------
 
 
-def block(span: float, width: float, each: int, sigma: float, tau: float, seed: int) -> Beside:
+def block(span: float, width: float, each: int, sigma: float, tau: float, seed: int) -> AidResiduals:
     """Blocks of an aid with white noise as stated and an error that lasts, and of perfect navigation."""
     rng = np.random.default_rng(seed)
     n, step = int(span / width) * each, width / each
@@ -331,7 +331,7 @@ def block(span: float, width: float, each: int, sigma: float, tau: float, seed: 
     within = np.array([((y - mean[:, None]) ** 2).sum()])
     t = (np.arange(n) * step).reshape(-1, each).mean(axis=1)
     m = mean.size
-    return Beside(
+    return AidResiduals(
         "barometer", ("height",), t, mean[:, None], np.zeros((0, m, 1)), np.full(m, float(each)), within, np.zeros((1, 0)),
         np.zeros((1, 0, 0)), np.zeros((m, m)), (), np.ones(1), {}, np.zeros(1),
     )  # fmt: skip

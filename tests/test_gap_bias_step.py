@@ -26,7 +26,7 @@ from insemu.gap.evidence.starts import Starts
 from insemu.gap.hypothesis import Found, Hypothesis, best_first
 from insemu.gap.problems import drive_without
 from insemu.gap.problems.drive import DriveProblem
-from insemu.gap.problems.joint_estimate import left
+from insemu.gap.problems.joint_estimate import gauss_newton_step
 from insemu.noise import WN, NoiseModel
 from insemu.records import Series
 
@@ -104,7 +104,7 @@ def test_its_size_is_estimated_with_all_other_numbers() -> None:
     (found,) = report.findings
     half = replace(found, parameters=(found.parameters[0].scaled(0.5), *found.parameters[1:]))
     known = replace(nominal, effects=(*nominal.effects, *uses_of(half))).parted()
-    step = left(*drive_without(measured, known), (half,))
+    step = gauss_newton_step(*drive_without(measured, known), (half,))
     (value, start) = step.findings[0].parameters
     assert step.gain > 5.0 and value.low < hidden.values["value"] < value.high
     assert start == found.parameters[1]
@@ -138,11 +138,11 @@ def test_a_start_is_as_likely_at_any_time() -> None:
     peak = Starts.even(times, np.where(times == 50.0, 20.0, 0.0))
     assert peak.best == 50.0 and peak.nats == pytest.approx(20.0 - math.log(10.0), abs=1e-6)
     # evidence of a narrow place, tried closely: it is paid for the width of that place
-    close = peak.closer(lambda t: np.where(np.abs(t - 53.0) < 1.0, 30.0, 0.0))
+    close = peak.refined(lambda t: np.where(np.abs(t - 53.0) < 1.0, 30.0, 0.0))
     assert close.cells.sum() == pytest.approx(peak.cells.sum())
     assert close.nats == pytest.approx(30.0 + math.log(2.0 / 100.0), abs=1e-3)
-    told = close.told()
-    assert 52.0 <= told.low <= told.value <= told.high <= 54.0
+    best = close.estimate()
+    assert 52.0 <= best.low <= best.value <= best.high <= 54.0
 
 
 def test_a_trial_hides_one_at_rest_that_is_worth_what_it_asks_for() -> None:

@@ -27,11 +27,11 @@ from insemu.gap.candidates.spectral import vibration_line
 from insemu.gap.candidates.tones import wandering, without_tones
 from insemu.gap.data.counts import lattice
 from insemu.gap.data.log import Reduced, moving_spectrum
-from insemu.gap.data.samples import advanced, coarse, mend, unclipped, without_motion
+from insemu.gap.data.samples import advanced, coarse, repair, unclipped, without_motion
 from insemu.gap.drive.preparation import COVARIANCE_S, Flown, fast_parts, starting_state
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop, columns_response, knot_response, ramps
-from insemu.gap.evidence.climb import laplace_together
+from insemu.gap.evidence.climb import laplace_many
 from insemu.gap.evidence.linear import (
     ROWS_AT_ONCE,
     Field,
@@ -258,7 +258,7 @@ def test_climbs_side_by_side_end_where_each_alone_does() -> None:
         return float(-200.0 * np.sum(2.0 * z + np.exp(-2.0 * z)) - 30.0 * np.prod(z) * (x.size - 1))
 
     starts = [np.array([-1.5]), np.array([1.5, 0.5])]
-    together = laplace_together(lambda points: np.array([top(k, x) for k, x in points]), starts, free, 1e-6)
+    together = laplace_many(lambda points: np.array([top(k, x) for k, x in points]), starts, free, 1e-6)
     for k, mode in enumerate(together):
         alone = laplace(
             lambda x, k=k: top(k, x) + sum(f.log_density(v) for f, v in zip(free[k], x, strict=True)),
@@ -282,7 +282,7 @@ def test_a_climb_far_behind_one_of_its_kind_ends_early() -> None:
                 looked[k] += 1
             return np.array([-1000.0 * k - 200.0 * float(x[0] + 0.5 * math.exp(-2.0 * x[0])) for k, x in points])
 
-        higher, _ = laplace_together(likelihoods, starts, free, 1e-6, kinds)
+        higher, _ = laplace_many(likelihoods, starts, free, 1e-6, kinds)
         return looked[1], float(higher.x[0])
 
     (all_the_way, top), (given_up, same) = climbed(("a", "b")), climbed(("a", "a"))
@@ -436,7 +436,7 @@ def test_gaps_are_bridged_and_clipped_stretches_filled_in() -> None:
     keep[[500, 1200, 1201, 3000]] = False
     for kind, width in (("mean", 1.0), ("increment", 0.01)):
         imu = ImuRecord(t[keep], np.clip(noisy, -1.9, 1.9)[keep] * width, noisy[keep] * width, kind)  # type: ignore[arg-type]
-        mended = mend(imu)
+        mended = repair(imu)
         named = {s.effect: s for s in mended.findings}
         assert set(named) == {"dropped_samples", "saturation"}
         assert (named["saturation"].sensor, named["saturation"].axes) == ("gyro", ("y",))
@@ -446,7 +446,7 @@ def test_gaps_are_bridged_and_clipped_stretches_filled_in() -> None:
         np.testing.assert_allclose(mended.imu.accel / width, noisy, atol=6e-3)
         before = np.abs(np.clip(clean, -1.9, 1.9) - clean).max()
         assert np.abs(mended.imu.gyro / width - clean).max() < 0.4 * before
-    assert not mend(ImuRecord(t, noisy, noisy, "mean")).findings
+    assert not repair(ImuRecord(t, noisy, noisy, "mean")).findings
 
 
 def shaken(n: int, seed: int) -> NDArray[np.float64]:
@@ -469,7 +469,7 @@ def test_the_integral_over_lost_samples_is_known_as_well_as_is_said(how: str) ->
     else:
         last = np.maximum.accumulate(np.where(gone, 0, np.arange(n)))
         imu = ImuRecord(t, signal[last] * dt, signal[last] * dt, "increment")
-    mended = mend(imu)
+    mended = repair(imu)
     (finding,) = mended.findings
     assert finding.effect == "dropped_samples" and finding.nats > 1000.0
     assert finding.parameters[0].low < 1.0 / 150.0 < finding.parameters[0].high
@@ -479,7 +479,7 @@ def test_the_integral_over_lost_samples_is_known_as_well_as_is_said(how: str) ->
     over = np.add.reduceat(off, np.flatnonzero(np.diff(gone.astype(int)) == 1) + 1)
     assert mended.filled == ()
     # of a belief that holds their noise none is added
-    before = mend(imu, filled=("dropped_samples",))
+    before = repair(imu, filled=("dropped_samples",))
     assert before.findings == mended.findings and not before.loss.any() and not before.filled
     np.testing.assert_array_equal(before.imu.gyro, mended.imu.gyro)
     assert mended.loss[0] == pytest.approx(float(np.sum(over**2)) / t[-1], rel=0.3)
@@ -492,7 +492,7 @@ def test_few_lost_samples_are_carried_one_by_one() -> None:
     signal, t = shaken(n, 5), np.arange(n) * dt
     gone = np.zeros(n, dtype=bool)
     gone[[500, 1200, 1201, 3000]] = True
-    mended = mend(ImuRecord(t[~gone], signal[~gone], signal[~gone], "mean"))
+    mended = repair(ImuRecord(t[~gone], signal[~gone], signal[~gone], "mean"))
     assert len(mended.filled) == 18 and not mended.loss.any()
     assert {(round(f.start, 9), round(f.end, 9)) for f in mended.filled} == {(4.99, 5.0), (11.99, 12.01), (29.99, 30.0)}
     assert all(0.0 < f.sigma < 0.05 for f in mended.filled)
@@ -505,7 +505,7 @@ def test_a_row_that_holds_the_whole_gap_leaves_nothing_open() -> None:
     keep = np.ones(n, dtype=bool)
     keep[[500, 1200, 1201, 3000]] = False
     whole = np.diff(total[keep], axis=0, prepend=0.0)
-    mended = mend(ImuRecord(t[keep], whole, whole, "increment"))
+    mended = repair(ImuRecord(t[keep], whole, whole, "increment"))
     assert mended.filled == () and not mended.loss.any()
     np.testing.assert_allclose(np.cumsum(mended.imu.gyro, axis=0)[keep], total[keep], atol=1e-12)
 
@@ -516,9 +516,9 @@ def test_rows_that_repeat_by_themselves_are_not_lost() -> None:
     gyro, accel = np.round(0.7 * rng.standard_normal((2, t.size, 3)))
     imu = ImuRecord(t, gyro, accel, "mean")
     assert imu.repeated().sum() > 3
-    assert "dropped_samples" not in {s.effect for s in mend(imu).findings}
+    assert "dropped_samples" not in {s.effect for s in repair(imu).findings}
     still = np.zeros((t.size, 3))
-    assert not mend(ImuRecord(t, still, still, "mean")).filled
+    assert not repair(ImuRecord(t, still, still, "mean")).filled
 
 
 def test_the_integral_of_a_clipped_stretch_is_known_as_well_as_is_said() -> None:
@@ -550,7 +550,7 @@ def test_output_counts_are_seen_beside_lost_samples() -> None:
     values = np.outer(np.sin(t) * t / t[-1], np.ones(3)) + 1e-2 * rng.standard_normal((t.size, 3))
     values[:, 1] = np.round(values[:, 1] / 0.02) * 0.02
     for kind, width in (("mean", 1.0), ("increment", dt)):
-        mended = mend(ImuRecord(t[kept], values[kept] * width, values[kept, ::-1] * width, kind))  # type: ignore[arg-type]
+        mended = repair(ImuRecord(t[kept], values[kept] * width, values[kept, ::-1] * width, kind))  # type: ignore[arg-type]
         found = {(s.effect, s.sensor): s for s in mended.findings}
         assert set(found) == {("dropped_samples", "imu"), ("quantization", "gyro"), ("quantization", "accel")}
         assert found["quantization", "gyro"].axes == ("y",)
@@ -608,10 +608,10 @@ def test_samples_are_lost_from_stamps_of_a_millisecond_too() -> None:
     signal = np.sin(t)[:, None] + 1e-3 * rng.standard_normal((t.size, 3))
     keep = rng.random(t.size) > 0.01
     keep[[0, -1]] = True
-    (step,) = mend(ImuRecord(np.round(t, 3)[keep], signal[keep], signal[keep], "sample")).findings
+    (step,) = repair(ImuRecord(np.round(t, 3)[keep], signal[keep], signal[keep], "sample")).findings
     assert step.effect == "dropped_samples"
     assert step.parameters[0].low < 0.01 < step.parameters[0].high
-    assert not mend(ImuRecord(np.round(t, 3), signal, signal, "sample")).findings
+    assert not repair(ImuRecord(np.round(t, 3), signal, signal, "sample")).findings
 
 
 def test_motion_does_not_reach_the_band_above_it() -> None:
@@ -678,7 +678,7 @@ def test_stamps_that_jitter_do_not_smear_increments() -> None:
     gyro = np.clip(signal + [1e-3, 1e-3, 0.0] * rng.standard_normal(signal.shape), -0.96, 0.96)
     accel = [0.0, 0.0, -9.8] + 1e-3 * rng.standard_normal(signal.shape)
     jittered = t + rng.uniform(-2e-5, 2e-5, t.size)
-    named = {(s.effect, s.axes) for s in mend(ImuRecord(jittered, gyro * dt, accel * dt, "increment")).findings}
+    named = {(s.effect, s.axes) for s in repair(ImuRecord(jittered, gyro * dt, accel * dt, "increment")).findings}
     assert named == {("saturation", ("x",)), ("saturation", ("y",)), ("saturation", ("z",)), ("quantization", ("z",))}
     part = fast_parts(Recording(ImuRecord(jittered, gyro * dt, accel * dt, "increment"), None, None), Nominal({}))[
         "accel_z"

@@ -17,7 +17,7 @@ from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.drive.changes import scanned
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import TERMS, Scene
-from insemu.gap.verdict import HALF_SAMPLE, Finding, Value, half_sample_said
+from insemu.gap.verdict import HALF_SAMPLE, Finding, Value, with_half_sample
 from insemu.records import ImuRecord, Recording
 from insemu.report.gap import finding_action
 
@@ -103,8 +103,8 @@ def test_half_a_sample_is_said_of_values_at_stamps_alone() -> None:
         "imu_gnss_time_offset", "", "imu", (), (Value("offset", 0.0052, 0.0045, 0.0059, "s"),), 1.0, 50.0, ()
     )
     values = ImuRecord(t, np.zeros((100, 3)), np.zeros((100, 3)), "sample")
-    said = half_sample_said(found, values)
+    said = with_half_sample(found, values)
     assert said.variant == HALF_SAMPLE and "kind=mean" in finding_action(said)
-    assert half_sample_said(found, replace(values, kind="mean")) is found
+    assert with_half_sample(found, replace(values, kind="mean")) is found
     other = replace(found, parameters=(Value("offset", 0.008, 0.007, 0.009, "s"),))
-    assert half_sample_said(other, values) is other
+    assert with_half_sample(other, values) is other

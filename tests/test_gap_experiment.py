@@ -13,7 +13,7 @@ from insemu.cli import main
 from insemu.effects import EffectUse
 from insemu.emulate import VEHICLES, read_waypoints, route
 from insemu.errors import InputError
-from insemu.gap import GapReport, Interval, design, experiment_said, write_experiment
+from insemu.gap import GapReport, Interval, design, promise_text, write_experiment
 from insemu.gap.experiment import joined_up, primitives
 from insemu.gap.verdict import Finding, Member, Value
 from insemu.scenario import load
@@ -69,8 +69,8 @@ def test_members_of_a_class_that_are_one_effect_on_two_axes_are_told_apart() -> 
     assert x is not None
     assert {k: f.axes for k, f in x.truths.items()} == {("scale_factor", "accel", a): (a,) for a in "zx"}
     pair = (("scale_factor", "accel", "z"), ("scale_factor", "accel", "x"))
-    assert x.best.told[pair] > 0.9
-    assert any(line.startswith("scale factor accel z from scale factor accel x: ") for line in experiment_said(x))
+    assert x.best.distinguished[pair] > 0.9
+    assert any(line.startswith("scale factor accel z from scale factor accel x: ") for line in promise_text(x))
 
 
 @pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
@@ -86,17 +86,17 @@ def test_a_hill_parts_a_bias_from_a_scale_factor_and_the_emulator_keeps_the_prom
     keys = {m.effect: (m.effect, m.sensor) for m in found.members}
     parted = (keys["scale_factor"], keys["turn_on_bias"])
     alike = (keys["scale_factor"], keys["scale_asymmetry"])
-    assert x.now.told[parted] < 0.2 and x.best.told[parted] > 0.9
+    assert x.now.distinguished[parted] < 0.2 and x.best.distinguished[parted] > 0.9
     assert "hill" in x.best.manoeuvre.name
-    assert x.best.told[alike] < 0.05
+    assert x.best.distinguished[alike] < 0.05
     # the promise is a share: 10 emulated recordings stay within 4 standard deviations and one recording of it
-    for pair, (told, count) in x.kept.items():
-        p = x.best.told[pair]
+    for pair, (seen, count) in x.kept.items():
+        p = x.best.distinguished[pair]
         assert count == 10
-        assert abs(told - p * count) <= 1.0 + 4.0 * (p * (1.0 - p) * count) ** 0.5
+        assert abs(seen - p * count) <= 1.0 + 4.0 * (p * (1.0 - p) * count) ** 0.5
     scenario, waypoints = write_experiment(x, tmp_path / "next.yaml")
     assert load(scenario).trajectory is not None
     again = read_waypoints(waypoints)
     np.testing.assert_allclose(again.llh, x.best.manoeuvre.waypoints.llh, atol=1e-10, rtol=1e-6)
-    assert len(experiment_said(x)) >= 7
-    assert experiment_said(replace(x, kept={})) != experiment_said(x)
+    assert len(promise_text(x)) >= 7
+    assert promise_text(replace(x, kept={})) != promise_text(x)

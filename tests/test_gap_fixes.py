@@ -26,12 +26,21 @@ from insemu.gap.candidates.shapes import Change
 from insemu.gap.candidates.steps import _Scan, _step_anywhere, _when, multipath_step, surprising
 from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.drive import FIRST
-from insemu.gap.drive.fix_outliers import MOST_RUNS, Seen, by_filter, log_joint, log_odds, outlying, told, under_colour
+from insemu.gap.drive.fix_outliers import (
+    MOST_RUNS,
+    Seen,
+    by_filter,
+    classified,
+    log_joint,
+    log_odds,
+    outlying,
+    under_colour,
+)
 from insemu.gap.drive.preparation import Flown, fitted_levels
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import Loop
-from insemu.gap.evidence.climb import Ridge, laplace_together
-from insemu.gap.evidence.fixes import NED, JointNoise, _any_size, joint_noise, level_beside
+from insemu.gap.evidence.climb import Ridge, laplace_many
+from insemu.gap.evidence.fixes import NED, JointNoise, _any_size, joint_noise, levels_with_colour
 from insemu.gap.evidence.modes import Free
 from insemu.gap.evidence.surrogate import Colour, FixNoise, Surrogate
 from insemu.gap.hypothesis import Found, Hypothesis
@@ -120,8 +129,8 @@ def test_a_share_of_outliers_at_its_limit_is_inside_its_interval() -> None:
     given = tuple(
         Value.positive(n, x, 0.1, "1") for n, x in (("probability", 0.05), *((f"sigma_{a}", 6.0) for a in NED))
     )
-    told = _share_and_size(Hypothesis("gnss_outliers", 1.0, given, Change()), v, np.eye(3) * np.ones((400, 1, 1)))
-    (share, *_) = told.values
+    classified = _share_and_size(Hypothesis("gnss_outliers", 1.0, given, Change()), v, np.eye(3) * np.ones((400, 1, 1)))
+    (share, *_) = classified.values
     assert share.value == rules().most_outliers and share.low < share.value < share.high
 
 
@@ -154,8 +163,8 @@ def test_a_level_beside_a_colour_is_told_and_leaves_the_colour_as_it_is() -> Non
         np.ones(6), Colour(np.array([0.6, 0.6, 0.6, 0.0, 0.0, 0.0]), 6.0)
     )  # as a search finds it that has to explain the level, too
     within = {k: joint_noise(coloured(k), colour, np.ones(6)).noise for k in (1.0, 3.0)}
-    assert not level_beside(coloured(1.0), within[1.0], np.ones(6))
-    fits = level_beside(coloured(3.0), within[3.0], np.ones(6))
+    assert not levels_with_colour(coloured(1.0), within[1.0], np.ones(6))
+    fits = levels_with_colour(coloured(3.0), within[3.0], np.ones(6))
     best = max(fits, key=lambda f: f.nats)
     (level,) = best.values
     assert best.axes == ("north", "east", "down") and best.nats > 10.0
@@ -163,11 +172,11 @@ def test_a_level_beside_a_colour_is_told_and_leaves_the_colour_as_it_is() -> Non
     assert best.colour is not None and 10.0 / 3.0 < best.colour.tau < 30.0
     # a colour may hide the level of one axis: all are weighed where one reaches the edge of its tolerance
     hidden = replace(within[3.0], factor=np.where(np.arange(6) == 2, 1.0, within[3.0].factor))
-    assert ("north", "east", "down") in {f.axes for f in level_beside(coloured(3.0), hidden, np.ones(6))}
+    assert ("north", "east", "down") in {f.axes for f in levels_with_colour(coloured(3.0), hidden, np.ones(6))}
     # what the filter was trimmed by already does not count twice
     trimmed = replace(within[3.0], factor=within[3.0].factor / 1.2)
     s = replace(coloured(3.0), R=coloured(3.0).R * 1.2**2)
-    again = max(level_beside(s, trimmed, np.full(6, 1.2)), key=lambda f: f.nats)
+    again = max(levels_with_colour(s, trimmed, np.full(6, 1.2)), key=lambda f: f.nats)
     assert again.values[0].value == pytest.approx(level.value, rel=0.02)
 
 
@@ -179,7 +188,7 @@ def test_the_interval_of_a_colour_has_the_tail_of_its_posterior() -> None:
     def log_likelihoods(points: Sequence[tuple[int, Array]]) -> Array:
         return np.array([-shape * float(x[0]) - shape * math.exp(-float(x[0])) for _, x in points])
 
-    (mode,) = laplace_together(log_likelihoods, [np.array([0.3])], [free], 1e-6)
+    (mode,) = laplace_many(log_likelihoods, [np.array([0.3])], [free], 1e-6)
     low, high = Ridge.along(log_likelihoods, mode, free, 0).interval(0)
     # of 1 / x, which is gamma distributed
     ends = scipy.stats.gamma.ppf([0.025, 0.975], shape, scale=1.0 / shape)
@@ -206,7 +215,7 @@ def test_what_all_others_say_of_a_fix_is_what_a_shock_of_it_explains(nearly: boo
     s = over_again(Surrogate.of(nominal_run()[0]), times)
     noise = NEARLY if nearly else noise_of(s)
     none, more = np.zeros((s.t.size, 6)), np.array([0.9, 0.1, 0.3])
-    rest, S = s.beside(s.nu, noise, none)
+    rest, S = s.leave_one_out(s.nu, noise, none)
     for k in (1, s.t.size // 2, s.t.size - 1):
         for own in (slice(0, 3), slice(3, 6)):
             if not s.use[k, own].all():
@@ -219,7 +228,7 @@ def test_what_all_others_say_of_a_fix_is_what_a_shock_of_it_explains(nearly: boo
             explained = float(log_density(v, own_S + np.diag(more))[0] - log_density(v, own_S)[0])
             assert gain == pytest.approx(explained, abs=1e-7, rel=1e-7)
             # what it says of itself is not in it
-            again, own_again = s.beside(s.nu, noise, shaken)
+            again, own_again = s.leave_one_out(s.nu, noise, shaken)
             assert again[k, own] == pytest.approx(rest[k, own], rel=1e-6, abs=1e-9)
             assert own_again[k, own, own] == pytest.approx(S[k, own, own], rel=1e-6, abs=1e-9)
 
@@ -238,12 +247,12 @@ def beside_colour(seed: int, hit: Array) -> Seen:
 
 
 def test_no_other_answer_about_a_fix_is_more_likely_than_the_one_told() -> None:
-    """Neither is one about two neighbours; by the fixes before alone fewer are told, and they are less likely together."""
+    """Neither is one about two neighbours; by the fixes before alone fewer are classified, and they are less likely together."""
     count = 2000
     hit = np.random.default_rng(9).random(count) < 0.08
     seen, known = beside_colour(3, hit), {"gnss_outliers": (0.08, np.full(3, 0.6))}
     t = seen({"gnss_outliers": (np.zeros(0), known["gnss_outliers"][1])})["gnss_outliers"][0]
-    out = told(seen, known, {})
+    out = classified(seen, known, {})
     best = log_joint(seen, known, out)
     ahead = np.zeros(0)
     for _ in range(10):
@@ -254,7 +263,7 @@ def test_no_other_answer_about_a_fix_is_more_likely_than_the_one_told() -> None:
         for flip in (t[k : k + 1], t[k : k + 2]):
             assert log_joint(seen, known, {"gnss_outliers": np.setxor1d(out["gnss_outliers"], flip)}) < best
     # from another answer it is the same one
-    assert set(told(seen, known, {"gnss_outliers": ahead})["gnss_outliers"]) == set(out["gnss_outliers"])
+    assert set(classified(seen, known, {"gnss_outliers": ahead})["gnss_outliers"]) == set(out["gnss_outliers"])
 
 
 def test_what_was_settled_before_a_time_is_not_told_again() -> None:
@@ -262,10 +271,10 @@ def test_what_was_settled_before_a_time_is_not_told_again() -> None:
     seen, known = beside_colour(3, hit), {"gnss_outliers": (0.08, np.full(3, 0.6))}
     t = seen({"gnss_outliers": (np.zeros(0), known["gnss_outliers"][1])})["gnss_outliers"][0]
     half = float(t[t.size // 2])
-    first = told(seen, known, {}, half)["gnss_outliers"]
+    first = classified(seen, known, {}, half)["gnss_outliers"]
     assert first.size and first.max() <= half
     # neither is one that was not told though it stands out
-    out = told(seen, known, {"gnss_outliers": first[1:]}, since=half)["gnss_outliers"]
+    out = classified(seen, known, {"gnss_outliers": first[1:]}, since=half)["gnss_outliers"]
     np.testing.assert_array_equal(out[out <= half], first[1:])
     assert np.count_nonzero(out > half) >= 3
 
@@ -315,7 +324,7 @@ def test_the_fixes_behind_which_residuals_surprise() -> None:
 
 @pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
 def test_a_step_whose_fixes_were_told_outliers_is_named() -> None:
-    """38 fixes 7 standard deviations off, one after the other, were a share of 0.1 (the most that are told) of outliers."""
+    """38 fixes 7 standard deviations off, one after the other, were a share of 0.1 (the most that are classified) of outliers."""
     step = sensors.Hidden("gnss_multipath_step", "gnss", "east", {"value": -6.58, "start": 127.9, "duration": 37.66})
     some = sensors.Hidden("gnss_outliers", "gnss", "", {"probability": 0.0514, "sigma": 13.55})
     measured, nominal = taken(sensors.draw_world(500044, 360.0, True), (step, some))
@@ -336,7 +345,7 @@ def test_a_lever_arm_shows_beside_a_colour_that_took_its_slow_part() -> None:
     hidden = (sensors.Hidden("lever_arm", "gnss", "x", {"value": -1.61}), colour)
     first = Scene.of(Flown.of(*taken(sensors.draw_world(360057, 360.0, True), hidden)).prepared)
     long = FixNoise(np.full(6, 0.8), Colour(np.array([0.825, 0.825, 1.567, 0.0, 0.0, 0.0]), 105.6))
-    loud, noise = long.apart(first.surrogate.sigma())
+    loud, noise = long.split(first.surrogate.sigma())
     problem = DriveProblem(first.rebuilt(factors=first.original.factors * loud).coloured(noise), None, 3.0, ())
     best = next(h for h in problem.rank() if h.change.block is not None)
     assert (best.effect, best.axes) == ("lever_arm", ("x",)) and best.nats > 20.0
@@ -350,7 +359,7 @@ def test_a_colour_that_was_named_too_short_is_longer_at_the_next_look() -> None:
     gnss = Gnss(position_sigma=SIGMA, velocity_sigma=(0.05, 0.05, 0.05), lever_arm=LEVER)
     scene = Scene.of(Flown.of(made, Nominal(dict(BELIEF), gnss)).prepared)
     short = FixNoise(np.ones(6), Colour(sigma * math.sqrt(1.0 / 3.0), 10.0))
-    loud, noise = short.apart(scene.surrogate.sigma())
+    loud, noise = short.split(scene.surrogate.sigma())
     problem = DriveProblem(scene.rebuilt(factors=scene.original.factors * loud).coloured(noise), None, 3.0, ())
     problem.rank()
     assert problem.scene.noise is not None
@@ -381,10 +390,10 @@ def test_a_start_on_a_fix_is_as_uncertain_as_the_fix() -> None:
     plain = prepared.again(factors=np.ones(6))
     assert plain.surrogate.first == pytest.approx(np.array([*SIGMA, 0.05, 0.05, 0.05]) ** 2)
     # three times the scatter, told to the filter, or to who looks at it from outside
-    told, seen = prepared.again(factors=np.full(6, 3.0)).surrogate, plain.surrogate
-    nodes = [np.diag(s.P0)[:6] + s.first * (k**2 - 1.0) for s, k in ((told, 1.0), (seen, 3.0))]
+    classified, seen = prepared.again(factors=np.full(6, 3.0)).surrogate, plain.surrogate
+    nodes = [np.diag(s.P0)[:6] + s.first * (k**2 - 1.0) for s, k in ((classified, 1.0), (seen, 3.0))]
     assert nodes[0] == pytest.approx(nodes[1])
-    assert told.log_likelihood() == pytest.approx(seen.log_likelihood(factor=np.full(6, 3.0)), abs=0.5)
+    assert classified.log_likelihood() == pytest.approx(seen.log_likelihood(factor=np.full(6, 3.0)), abs=0.5)
 
 
 def test_a_start_beside_velocities_of_other_stamps_stands_on_a_position() -> None:
@@ -507,10 +516,16 @@ def test_a_step_behind_a_colour_is_found_at_its_edges() -> None:
     scene = behind_a_colour(recording(COLOUR, step))
     given, rows = list(scene.always), slice(None)
     (found,) = multipath_step(Unexplained(scene, scene.data, rows, given))
-    told = {v.name: v for v in found.values}
+    classified = {v.name: v for v in found.values}
     assert found.axes == ("east",) and found.nats > 10.0
-    assert told["start"].low < 121.4 < told["start"].high and told["start"].high - told["start"].low < 1.5
-    assert told["duration"].low < 41.0 < told["duration"].high and told["value"].low < 0.4 < told["value"].high
+    assert (
+        classified["start"].low < 121.4 < classified["start"].high
+        and classified["start"].high - classified["start"].low < 1.5
+    )
+    assert (
+        classified["duration"].low < 41.0 < classified["duration"].high
+        and classified["value"].low < 0.4 < classified["value"].high
+    )
     assert _step_anywhere(Unexplained(scene, scene.data, rows, given)).nats < found.nats - 8.0
     quiet = behind_a_colour(recording(COLOUR))
     (none,) = multipath_step(Unexplained(quiet, quiet.data, rows, list(quiet.always)))
@@ -524,9 +539,9 @@ def test_edges_three_fixes_apart_are_not_missed() -> None:
     world, hidden, worth = drawn(Job("one", 550020, 360.0, True, False, False, logger=logger))
     report = find_gap(*taken(world, hidden), rng=np.random.default_rng(1), hold_out=False, pictures=False)
     (step,) = report.findings
-    told, values = {v.name: v for v in step.parameters}, hidden[0].values
+    classified, values = {v.name: v for v in step.parameters}, hidden[0].values
     assert report.verdict == "named" and step.nats > 0.8 * worth[0]
-    assert all(v.low < values[name] < v.high for name, v in told.items())
+    assert all(v.low < values[name] < v.high for name, v in classified.items())
 
 
 def test_outliers_that_a_colour_hides_are_told_by_what_the_fixes_before_say() -> None:
@@ -534,10 +549,10 @@ def test_outliers_that_a_colour_hides_are_told_by_what_the_fixes_before_say() ->
     made, hit = with_outliers(recording(COLOUR), 0.05, 0.5, seed=8)
     scene = behind_a_colour(made)
     (named,) = gnss_outliers(scene, scene.unexplained(scene.always, None), None)
-    told = without_outliers(scene, named, None, scene, scene.unexplained(scene.always, None))
-    share = told.outliers.values[0]
+    classified = without_outliers(scene, named, None, scene, scene.unexplained(scene.always, None))
+    share = classified.outliers.values[0]
     assert made.gnss is not None
-    assert np.isin(made.gnss.t[hit], told.times).all() and told.times.size <= hit.sum() + 2
+    assert np.isin(made.gnss.t[hit], classified.times).all() and classified.times.size <= hit.sum() + 2
     assert share.low < hit.mean() < share.high
     blind = scene.coloured(None)
     (seen,) = gnss_outliers(blind, blind.unexplained(blind.always, None), None)
@@ -575,14 +590,14 @@ def test_known_outliers_of_positions_and_velocities_are_told_together(colour: bo
 
 @pytest.mark.slow(reason="a whole search of a drive, whose parts have quick tests")
 def test_a_report_says_which_fixes_are_outliers() -> None:
-    """Beside a step that is worth a further pass, which begins with those that the search told."""
+    """Beside a step that is worth a further pass, which begins with those that the search classified."""
     step = use(effect="gnss_multipath_step", value=[0.0, 2.2, 0.0], start=120.4, duration=40.0)
     made, clean = recording(FAR, step), recording(step)
     report = looked(made)
     assert {f.effect for f in report.findings} == {"gnss_outliers", "gnss_multipath_step"}
-    told = report.to_json()["outliers"]["gnss_outliers"]
+    classified = report.to_json()["outliers"]["gnss_outliers"]
     assert made.gnss is not None
-    gone, hit = made.gnss.t[told], hit_by(made, clean, "position")
+    gone, hit = made.gnss.t[classified], hit_by(made, clean, "position")
     assert np.isin(hit, gone).mean() >= 0.9 and np.isin(gone, hit).sum() >= gone.size - 2
 
 
@@ -595,12 +610,12 @@ def test_held_out_fixes_are_outliers_or_none() -> None:
     problem = DriveProblem(scene, cut, 3.0, ())
     (named,) = gnss_outliers(scene, scene.unexplained([], cut), cut)
     problem.apply(Found(named, (named,)))
-    told = problem.named()
-    scored = held_out(scene, told, cut)
+    classified = problem.named()
+    scored = held_out(scene, classified, cut)
     after, gain = scored.after, scored.gain
     # another way: the filter without them, and each as it is predicted there
-    share, sigma = told.found[0].chosen.values[0].value, told.found[0].chosen.values[1].value
-    clean, s = told.scene.prepared.result.fixes, scene.prepared.result.fixes
+    share, sigma = classified.found[0].chosen.values[0].value, classified.found[0].chosen.values[1].value
+    clean, s = classified.scene.prepared.result.fixes, scene.prepared.result.fixes
     kept = np.isin(s.t, clean.t[np.isfinite(clean.innovation[:, 0])])
     assert 0.8 < after.value < 1.2 and (~kept & (s.t > cut)).sum() >= 4
     before = sum(float(x) for x in s.log_densities[s.t > cut])
@@ -633,7 +648,7 @@ def test_a_level_of_any_size_has_its_bounds_over_the_stated_one() -> None:
     assert (later.low, later.high) == pytest.approx((10.0 * first.low, 10.0 * first.high))
     assert _any_size(np.full(6, 0.05), [2]).low == pytest.approx(1.0 / (1.0 + rules().tolerance))
     nominal = Nominal(dict(BELIEF), Gnss(), effects=(use(effect="gnss_noise_level", factor=[0.5, 0.5, 1.0]),))
-    np.testing.assert_allclose(nominal.settled_levels, [0.5, 0.5, 1.0, 1.0, 1.0, 1.0])
+    np.testing.assert_allclose(nominal.known_levels, [0.5, 0.5, 1.0, 1.0, 1.0, 1.0])
 
 
 def test_a_known_colour_stays_as_it_is() -> None:
@@ -647,7 +662,9 @@ def test_a_known_colour_stays_as_it_is() -> None:
     assert joint.noise.known and joint.noise.colour.tau == 20.0
     np.testing.assert_array_equal(joint.noise.colour.sigma, known.colour.sigma)
     assert set(joint.sd) == {"factor_0"} and joint.noise.factor[0] * loud == pytest.approx(1.0, rel=0.25)
-    assert all(f.colour is not None for f in level_beside(s, replace(known, factor=2.0 * known.factor), np.ones(6)))
+    assert all(
+        f.colour is not None for f in levels_with_colour(s, replace(known, factor=2.0 * known.factor), np.ones(6))
+    )
 
 
 def test_a_large_time_offset_is_taken_off_the_stamps() -> None:

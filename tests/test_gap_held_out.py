@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from insemu import rotation
+from insemu.gap import session
 from insemu.gap.candidates.mounting import Mounted
 from insemu.gap.holdout import DriveScore, burst
 from insemu.gap.session import _scored
-from insemu.gap.verdict import Burst, Finding, GapReport, Interval, Value
+from insemu.gap.verdict import Burst, Finding, GapReport, Interval, Value, Where
 from insemu.report.gap import burst_said, is_better
+from tests.test_gap_worth import finding
 
 REPORT = GapReport(
     "named", (), (), (), Interval.positive(4.0, 0.2), Interval.positive(1.07, 0.08), Interval.normal(6.0, 0.1)
@@ -96,3 +99,31 @@ def test_better_is_what_zero_is_no_part_of(gain: float, word: str) -> None:
     finding = Finding("random_constant", "", "accel", ("x",), (), 0.99, 9.0, ())
     report = replace(REPORT, findings=(finding,), held_out=Interval.normal(gain, 0.1))
     assert is_better(report)[0] == word
+
+
+@pytest.mark.parametrize("before", [None, (0.3, -0.2, 2.0)])
+def test_a_mounting_is_corrected_by_what_the_refined_filter_shows(
+    before: tuple[float, float, float] | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The correction turns the axes after the first turn, which is no sum of angles."""
+    values = {"rpy_roll": 0.01, "rpy_pitch": 0.05, "rpy_yaw": -0.04}
+    more = replace(finding("mounting", "imu", **values), nats=4.0)
+    asked: list[bool] = []
+
+    def found(recording: None, nominal: None, say: None, *, known: bool) -> Mounted:
+        asked.append(known)
+        return Mounted(more, np.array([*values.values()]), (), (Where("new", "imu", "y", None, 0.5),))
+
+    monkeypatch.setattr(session, "find_mounting", found)
+    monkeypatch.setattr(session, "worth_of_mounting", lambda *_: 7.0)
+    old, other = Where("old", "imu", "y", None, 0.1), Where("whiteness", "gnss", "north", 1.0, 0.2)
+    first = replace(finding("mounting", "imu", **dict(zip(values, before or (), strict=False))), nats=90.0)
+    found_before = (finding("clock_drift", "imu", drift=1e-4), *((first,) if before else ()))
+    report = replace(REPORT, findings=found_before, after=(old, other))
+    out = session._mounted_again(report, (None, None), Mounted(None, np.zeros(3), (), (old,)), None, None)
+    (now,) = [f for f in out.findings if f.effect == "mounting"]
+    assert asked == [before is not None] and now.metres == 7.0 and now.nats == (90.0 if before else 4.0)
+    total = rotation.dcm_from_rpy([*values.values()]) @ rotation.dcm_from_rpy(before or (0.0, 0.0, 0.0))
+    np.testing.assert_allclose(rotation.dcm_from_rpy([v.value for v in now.parameters]), total, atol=1e-14)
+    assert [v.high - v.value for v in now.parameters] == pytest.approx([v.high - v.value for v in more.parameters])
+    assert [w.statistic for w in out.after] == ["whiteness", "new"]

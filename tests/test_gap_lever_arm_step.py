@@ -24,7 +24,7 @@ from insemu.gap.evidence.starts import Starts
 from insemu.gap.hypothesis import Found, Hypothesis
 from insemu.gap.problems import drive_without
 from insemu.gap.problems.drive import DriveProblem
-from insemu.gap.problems.joint_estimate import left
+from insemu.gap.problems.joint_estimate import gauss_newton_step
 from insemu.records import Recording
 
 ARM = (1.2, -0.3, 0.8)
@@ -110,7 +110,7 @@ def test_its_size_is_estimated_with_all_other_numbers(train) -> None:
     (found,) = report.findings
     half = replace(found, parameters=(found.parameters[0].scaled(0.5), *found.parameters[1:]))
     known = replace(nominal, effects=(*nominal.effects, *uses_of(half))).parted()
-    step = left(*drive_without(measured, known), (half,))
+    step = gauss_newton_step(*drive_without(measured, known), (half,))
     value, start = step.findings[0].parameters
     assert step.gain > 5.0 and value.low < hidden.values["value"] < value.high
     assert start == found.parameters[1]
@@ -139,7 +139,7 @@ def test_it_gives_way_to_a_lever_arm_that_explains_more_throughout() -> None:
 
 def test_starts_in_cells_of_their_own_stand_in_the_place_of_those_there() -> None:
     even = Starts.even(np.arange(5.0, 100.0, 10.0), np.zeros(10))
-    more = even.beside(np.array([14.0, 58.0]), np.array([4.0, 1.0]), np.array([0.0, 30.0]))
+    more = even.with_more(np.array([14.0, 58.0]), np.array([4.0, 1.0]), np.array([0.0, 30.0]))
     assert sorted(more.times) == [5.0, 14.0, 25.0, 35.0, 45.0, 55.0, 58.0, 65.0, 75.0, 85.0, 95.0]
     assert more.best == 58.0 and more.cells[-1] == 1.0
     assert more.nats == pytest.approx(30.0 + math.log(1.0 / more.cells.sum()), abs=1e-6)

@@ -14,21 +14,22 @@ import numpy as np
 import pytest
 
 from insemu.errors import InputError
-from insemu.gap.candidates import bias_steps, spectral, thermal, timing
+from insemu.gap.candidates import bias_steps, mounting, spectral, thermal, timing
 from insemu.gap.candidates.axis import amplitudes, state_of
-from insemu.gap.candidates.mounting import Sideways, _held_out, estimate
+from insemu.gap.candidates.mounting import Sideways, _held_out, estimate, find_mounting
 from insemu.gap.candidates.noise import gauss_markov
 from insemu.gap.candidates.outliers import evident_outliers
 from insemu.gap.candidates.tones import wandering
-from insemu.gap.checks.rest import left_over
+from insemu.gap.checks.rest import residual_variance
 from insemu.gap.data.counts import lattice
 from insemu.gap.data.log import moving_spectrum, reduce
-from insemu.gap.data.samples import clipped, coarse, mend, spikes
+from insemu.gap.data.samples import clipped, coarse, repair, spikes
 from insemu.gap.data.sources import static_of
 from insemu.gap.evidence.model import Explanation
 from insemu.gap.evidence.modes import level
 from insemu.gap.evidence.sandwich import excess
 from insemu.gap.hypothesis import Found, Hypothesis
+from insemu.gap.policy import Policy
 from insemu.gap.problems import rest
 from insemu.gap.problems.rest import is_slow
 from insemu.gap.search import reconsider, search
@@ -53,7 +54,7 @@ def imu_of(t, *, rng=None, kind="sample"):
 
 
 def named(imu) -> set[str]:
-    return {f.effect for f in mend(imu, ("quantization",)).findings}
+    return {f.effect for f in repair(imu, ("quantization",)).findings}
 
 
 @pytest.mark.parametrize(("strays", "lost"), [(0.2, True), (0.3, False)])
@@ -112,7 +113,7 @@ def test_values_that_hardly_repeat_lie_on_no_lattice(values, on):
 def test_counts_finer_than_a_twentieth_of_the_noise_are_digits_of_a_file(lsb, said):
     imu = imu_of(np.arange(40_000) * DT)
     rates = np.round(imu.gyro / (0.01 * lsb)) * 0.01 * lsb
-    found = mend(replace(imu, gyro=rates)).findings
+    found = repair(replace(imu, gyro=rates)).findings
     assert ("gyro" in {f.sensor for f in found if f.effect == "quantization"}) == said
 
 
@@ -236,7 +237,7 @@ def test_few_simulated_logs_move_the_tail_half_way():
 
 @pytest.mark.parametrize(("spent", "left"), [(0.5, 0.5), (0.87, 0.13), (0.99, 0.1)])
 def test_a_fit_leaves_a_tenth_of_a_statistics_variance_at_the_least(spent, left):
-    assert left_over(1.0, 1.0, np.array([1.0]), np.array([[spent]])) == pytest.approx(left, abs=0.02)
+    assert residual_variance(1.0, 1.0, np.array([1.0]), np.array([[spent]])) == pytest.approx(left, abs=0.02)
 
 
 class Pair:
@@ -317,6 +318,15 @@ def test_a_vehicle_that_leans_three_degrees_on_average_is_mounted_so(roll_deg, l
 def test_a_mounting_is_judged_on_the_second_half():
     _, dof, _ = _held_out(sideways(), VEHICLE)
     assert dof == pytest.approx(200, abs=4)
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_mounting_that_is_known_to_be_wrong_is_estimated_however_little_it_lacks(known, monkeypatch):
+    for name in ("prepare", "fast_parts"):
+        monkeypatch.setattr(mounting, name, lambda *_: None)
+    monkeypatch.setattr(Sideways, "of", lambda _: sideways())
+    assert estimate(sideways(), VEHICLE).nats < Policy().least_nats
+    assert (find_mounting(None, VEHICLE, known=known).finding is not None) == known
 
 
 def test_the_axle_is_within_a_few_metres():

@@ -31,8 +31,8 @@ from insemu.gap import (
 )
 from insemu.gap.beliefs.refined import refined_nominal, uses_of
 from insemu.gap.candidates.axis import CANDIDATES
-from insemu.gap.session import _closer, _looked_closer, _settled
-from insemu.gap.verdict import Interval, Member, Value, held_out_said
+from insemu.gap.session import _confirmed, _further_passes, _merged_pass
+from insemu.gap.verdict import Interval, Member, Value, with_held_out
 from insemu.noise import AR, BI, DR, GM, QN, RW, SIN, WN, NoiseModel
 from insemu.records import AidRecord, GnssRecord, ImuRecord, Recording, Series
 from insemu.report.gap import (
@@ -267,7 +267,7 @@ def passes(first: GapReport, *later: GapReport) -> tuple[GapReport, int]:
     """A report after passes that find this, and how many were asked for."""
     found = list(later)
     nominal = load_nominal(_scenario())
-    out, _ = _looked_closer(measured(), nominal, first, lambda *_: found.pop(0), [], lambda _: None)
+    out, _ = _further_passes(measured(), nominal, first, lambda *_: found.pop(0), [], lambda _: None)
     return out, len(later) - len(found)
 
 
@@ -309,8 +309,8 @@ def test_a_later_pass_corrects_a_step_at_its_own_times() -> None:
     old = shift(0.4, (760.5, 54.0, 761.0), (632.0, 380.0, 706.0))
     other = shift(-0.5, (75.0, 74.7, 75.2), (630.0, 1.8, 807.0))
     same = shift(0.1, (760.4, 760.2, 760.8), (632.1, 631.0, 633.0))
-    assert set(_closer(report(old), report(other), []).findings) == {old, other}
-    (corrected,) = _closer(report(old), report(same), []).findings
+    assert set(_merged_pass(report(old), report(other), []).findings) == {old, other}
+    (corrected,) = _merged_pass(report(old), report(same), []).findings
     assert corrected.parameters[0].value == pytest.approx(0.5)
     assert corrected.parameters[1:] == old.parameters[1:]
 
@@ -575,7 +575,7 @@ def test_a_refined_model_that_does_worse_on_held_out_data_is_called_so() -> None
     index = Interval(1.2, 1.1, 1.3)
 
     def left(after: Interval, gain: Interval) -> str:
-        return held_out_said(GapReport("named", (step,), (), (), index, after, gain, remainder="a line")).remainder
+        return with_held_out(GapReport("named", (step,), (), (), index, after, gain, remainder="a line")).remainder
 
     assert left(Interval(1.05, 0.95, 1.15), Interval(0.5, 0.4, 0.6)) == "a line"
     assert "worse by the refined model (-0.5 nats" in left(Interval(1.05, 0.95, 1.15), Interval(-0.5, -0.6, -0.4))
@@ -655,6 +655,6 @@ def test_a_member_that_a_later_pass_weighs_far_more_leaves_a_name_without_confid
     """800 nats more: the exponential had been beyond the numbers of a computer."""
     own, rival = Member("clock_drift", "imu", (), 100.0), Member("lever_arm", "gnss", ("x",), 900.0)
     named = replace(strong("clock_drift", 100.0), confidence=0.0)
-    assert _settled(replace(named, members=(own, rival))).confidence == pytest.approx(0.0, abs=1e-12)
+    assert _confirmed(replace(named, members=(own, rival))).confidence == pytest.approx(0.0, abs=1e-12)
     equal = replace(named, members=(own, replace(rival, nats=100.0)))
-    assert _settled(equal).confidence == pytest.approx(0.5, rel=1e-6)
+    assert _confirmed(equal).confidence == pytest.approx(0.5, rel=1e-6)

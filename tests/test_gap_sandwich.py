@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from benchmarks.foreign import sensors
 from benchmarks.foreign.judge import taken
-from insemu.gap.candidates.robust import excess_of, held, is_lasting, too_much
+from insemu.gap.candidates.robust import doubted_last, excess_of, is_lasting, too_much
 from insemu.gap.candidates.shapes import bank, linear_hypotheses
 from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.drive.preparation import Flown
@@ -95,7 +95,7 @@ def test_an_effect_that_holds_in_places_only_is_not_held() -> None:
         (h,) = linear_hypotheses(scene, [own], of, [], set())
         assert is_lasting(h) and h.nats > 6.0
         beside = Unexplained(scene, of, rows, [])
-        (kept,) = held(beside, [h], 3.0)
+        (kept,) = doubted_last(beside, [h], 3.0)
         assert (kept is h) == sure
         assert (excess_of(beside, h) < 1.5) == sure
         assert kept.nats == pytest.approx(h.nats if sure else h.nats - too_much(beside, h))

@@ -214,7 +214,7 @@ def test_velocities_are_steadied_on_an_arm_that_is_not_taken_out_of_the_data() -
     longer = sensors.Hidden("lever_arm", "gnss", "z", {"value": 0.6})
     scene = Scene.of(Flown.of(*taken(sensors.draw_world(6, 200.0, True, ("quadrotor",)), (longer,))).prepared)
     j = next(k for k, c in enumerate(scene.columns) if (c.effect, c.label[-1]) == ("lever_arm", "z"))
-    again = scene.steadied_again([*scene.always, (np.array([j]), np.eye(1))])
+    again = scene.corrected_again([*scene.always, (np.array([j]), np.eye(1))])
     assert not scene.corrections and not again.corrections
     # the antenna swings about the horizontal axes: of its velocities those across scatter more than believed
     assert (again.original.raised[3:5] > scene.original.raised[3:5]).all()

@@ -12,13 +12,13 @@ from benchmarks.foreign.judge import drawn, taken
 from insemu.effects import Column, effect_of, lagged
 from insemu.gap import find_gap
 from insemu.gap.beliefs.refined import refined_nominal, uses_of
-from insemu.gap.candidates.shapes import LAGGED, Change, bank, standing_beside
+from insemu.gap.candidates.shapes import LAGGED, Change, bank, compatible
 from insemu.gap.drive.preparation import Flown
 from insemu.gap.drive.scene import Scene
 from insemu.gap.drive.signatures import columns_response
 from insemu.gap.hypothesis import Hypothesis
 from insemu.gap.problems import drive_without
-from insemu.gap.problems.joint_estimate import left
+from insemu.gap.problems.joint_estimate import gauss_newton_step
 from insemu.gap.verdict import Finding, Value
 
 
@@ -52,9 +52,7 @@ def test_an_axis_has_one_thermal_bias_where_it_lags(scene) -> None:
     variants = bank(scene)
 
     def thermal(*chosen: Hypothesis) -> set[tuple[str, str, str]]:
-        return {
-            (v.sensor, "".join(v.axes), v.label) for v in standing_beside(variants, chosen) if v.effect == "temperature"
-        }
+        return {(v.sensor, "".join(v.axes), v.label) for v in compatible(variants, chosen) if v.effect == "temperature"}
 
     plain, late = (Hypothesis("temperature", 30.0, (), Change(), label, "gyro", ("x",)) for label in ("linear", LAGGED))
     assert thermal() - thermal(plain) == {("gyro", "x", LAGGED)}
@@ -95,7 +93,7 @@ def test_its_coefficient_is_estimated_with_all_other_numbers(flight) -> None:
     own = (Value(f"c1_{hidden.axis}", 0.5 * size, 0.0, size, ""), Value("lag", late, 0.0, 2.0 * late, "s"))
     half = Finding("temperature", LAGGED, "gyro", tuple(hidden.axis), own, 1.0, 50.0, ())
     known = replace(nominal, effects=(*nominal.effects, *uses_of(half))).parted()
-    step = left(*drive_without(measured, known), (half,))
+    step = gauss_newton_step(*drive_without(measured, known), (half,))
     moved, same = step.findings[0].parameters
     assert step.gain > 5.0 and moved.low < hidden.values["value"] < moved.high
     assert same.value == hidden.values["lag"]

@@ -14,8 +14,8 @@ from insemu.gap import Finding, Nominal
 from insemu.gap.beliefs.refined import uses_of
 from insemu.gap.evidence.fixes import NED
 from insemu.gap.problems import drive_without
-from insemu.gap.problems.joint_estimate import left
-from insemu.gap.problems.known_effects import both_told, struck_out
+from insemu.gap.problems.joint_estimate import gauss_newton_step
+from insemu.gap.problems.known_effects import all_outliers, struck_out
 from insemu.gap.verdict import Value
 from insemu.records import Recording
 
@@ -49,7 +49,7 @@ def test_numbers_together_are_the_true_ones() -> None:
     findings = tuple(finding(*hidden[:4], hidden[5]) for hidden in HIDDEN)
     gains = []
     for _ in range(3):
-        step = left(*less(findings), findings)
+        step = gauss_newton_step(*less(findings), findings)
         gains.append(step.gain)
         findings = step.findings
     # each step leaves next to nothing of what the one before left, and the last one is chance: half a nat for each number
@@ -87,7 +87,7 @@ def test_steps_in_the_fixes_are_among_the_numbers() -> None:
     moved = replace(measured, gnss=replace(measured.gnss, llh=up))
     findings = (shift(4.0, "down", 70.0), shift(2.0, "north", 100.0))
     effects = tuple(u for f in findings for u in uses_of(f))
-    step = left(*drive_without(moved, replace(known, effects=(*use, *effects)).parted()), findings)
+    step = gauss_newton_step(*drive_without(moved, replace(known, effects=(*use, *effects)).parted()), findings)
     there, none = (f.parameters[0] for f in step.findings)
     assert step.gain > 5.0
     assert there.low < 6.0 < there.high and there.high - there.low < 2.0
@@ -97,7 +97,7 @@ def test_steps_in_the_fixes_are_among_the_numbers() -> None:
 
 def test_what_has_no_columns_stays_as_it_is() -> None:
     (outliers,) = (finding("gnss_outliers", "gnss", NED, "probability", 0.1),)
-    step = left(*less(()), (outliers,))
+    step = gauss_newton_step(*less(()), (outliers,))
     assert step.findings == (outliers,) and step.gain == 0.0
 
 
@@ -113,7 +113,7 @@ def test_outliers_that_were_told_are_struck_out_again() -> None:
     np.testing.assert_array_equal(again.gnss.llh, less_some.gnss.llh)
     np.testing.assert_array_equal(again.gnss.vel_ned, less_some.gnss.vel_ned)
     # of what is left the second position and the last velocity: they were the third and the last of all
-    rest = both_told(
+    rest = all_outliers(
         whole,
         {"gnss_outliers": np.array([1, 40])},
         {"gnss_outliers": np.array([1]), "gnss_velocity_outliers": np.array([len(gnss) - 1])},

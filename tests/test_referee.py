@@ -9,7 +9,7 @@ from scipy import stats
 import insemu as ins
 from insemu.cli import main
 from insemu.errors import InputError
-from insemu.evaluate import share_interval, smallest_found
+from insemu.evaluate import CACHE, Experiment, share_interval, smallest_found
 from insemu.evaluate.verdict import MEAN_SQUARE
 from insemu.filters import named_filter
 from insemu.filters.adapters.files import COLUMNS
@@ -163,3 +163,33 @@ def test_python_says_what_the_command_says(tmp_path, capsys):
     (said,) = json.loads(capsys.readouterr().out)
     (found,) = ins.referee("ekf", worlds=["rest"], realizations=2, seed=3)
     assert said == json.loads(json.dumps(found.to_json()))
+
+
+def test_an_interrupted_referee_flies_only_the_worlds_that_are_left(tmp_path, monkeypatch, capsys):
+    flown, stop, fly, of = [], [], Experiment.side_by_side, Flights.of
+
+    def counted(experiment, indices):
+        flown.append(experiment.scenario.title)
+        return fly(experiment, indices)
+
+    def interrupted(experiment, *rest):
+        if experiment.scenario.title in stop:
+            raise KeyboardInterrupt
+        return of(experiment, *rest)
+
+    monkeypatch.setattr(Experiment, "side_by_side", counted)
+    monkeypatch.setattr(Flights, "of", interrupted)
+
+    def asked(folder):
+        flown.clear()
+        given = ["--worlds", "rest,turns", "--realizations", "2", "--workers", "1", "--json"]
+        with pytest.raises(SystemExit) as end:
+            main(["referee", "ekf", *given, "--output", str(tmp_path / folder)])
+        return end.value.code, set(flown), capsys.readouterr().out
+
+    code, everything, answer = asked("whole")
+    stop.append("turns")
+    assert asked("cut")[:2] == (130, {"rest"})
+    stop.clear()
+    assert asked("cut") == (code, everything - {"rest"}, answer)
+    assert not (tmp_path / "cut" / CACHE).exists()

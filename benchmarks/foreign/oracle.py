@@ -14,7 +14,7 @@ from insemu.gap.beliefs.refined import refined_nominal
 from insemu.gap.drive import FIRST, Flown
 from insemu.gap.problems import drive_without
 from insemu.gap.problems.findings import with_effect
-from insemu.gap.problems.joint_estimate import opened
+from insemu.gap.problems.joint_estimate import scene_under_colour
 from insemu.gap.verdict import Value
 from insemu.records import Recording
 
@@ -68,7 +68,7 @@ def _as_finding(h: Hidden, truth: Mapping[str, float]) -> Finding:
 
 def _score(measured: Recording, model: Nominal, cut: float) -> tuple[float, int]:
     """Log-likelihood of the fixes after a time, and their number."""
-    scene = opened(Flown.of(*drive_without(measured, model.parted())).prepared)
+    scene = scene_under_colour(Flown.of(*drive_without(measured, model.parted())).prepared)
     whole, noise = scene.surrogate, scene.noise
     factor, colour = (None, None) if noise is None else (noise.factor, noise.colour)
     late = whole.log_likelihood(factor, colour) - whole.until(cut).log_likelihood(factor, colour)

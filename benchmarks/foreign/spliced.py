@@ -287,7 +287,7 @@ def sized(base: Base, seed: int) -> sensors.Hidden:
     prepared, noise = clean.prepared, FixNoise(np.ones(6), PLAIN)
     if (colour := colour_of(bare.effects)) is not None:
         # slow errors of the fixes that are known hide what a filter would see that took the rest of their noise for all of it
-        loud, noise = FixNoise(np.ones(6), colour, known=True).apart(Surrogate.of(prepared.result).sigma())
+        loud, noise = FixNoise(np.ones(6), colour, known=True).split(Surrogate.of(prepared.result).sigma())
         prepared = replace(prepared, factors=prepared.factors * loud)
     still = Surrogate.of(prepared.on(_calm(clean.recording)).result)
     while True:

@@ -55,7 +55,7 @@ def command(
     from insemu.effects import EFFECTS
     from insemu.emulate import VEHICLES
     from insemu.errors import InputError, nearest
-    from insemu.gap import applied, find_gap, from_its_start, is_looked_at, load_measured, load_nominal, write_refined
+    from insemu.gap import applied, find_gap, from_its_start, is_judged, load_measured, load_nominal, write_refined
     from insemu.intake import found_in
     from insemu.whole import put
     from insemu.work import processes
@@ -77,7 +77,7 @@ def command(
     data = found_in(load_measured(recording, rate_hz=hertz(rate)), card)
     if "recording" not in nominal.raw:  # a scenario of a recording tells times by the recording's clock
         data = from_its_start(data)
-    other = sorted({aid.kind for aid in getattr(data, "aids", ()) if not is_looked_at(aid.kind)})
+    other = sorted({aid.kind for aid in getattr(data, "aids", ()) if not is_judged(aid.kind)})
     if other:
         Console(stderr=True).print(
             f"{recording}: {', '.join(other)} not looked at: only IMU, fixes, odometer, barometer and heading are",
@@ -125,7 +125,7 @@ def _design(
     """Design the next experiment, say what it promises, and write it."""
     import numpy as np
 
-    from insemu.gap import design, experiment_said, write_experiment
+    from insemu.gap import design, promise_text, write_experiment
 
     with console.status("designing the next experiment") as status:
         x = design(data, nominal, report, rng=np.random.default_rng(seed), vehicle=vehicle, progress=status.update)
@@ -134,7 +134,7 @@ def _design(
         return
     scenario, waypoints = write_experiment(x, out)
     console.print("[bold]The next experiment[/bold]")
-    for line in experiment_said(x):
+    for line in promise_text(x):
         console.print(line, highlight=False, markup=False)
     console.print(f"Scenario: [bold]{scenario}[/bold], waypoints {waypoints}")
 

@@ -21,15 +21,16 @@ def command(
     """Fly filters through worlds of many kinds and say whether they state their own errors, where they do not, and what would have been found.
 
     Without a name all families that come with insemu. Exits with 1 where a filter does not state its errors. The page and referee.json are the same
-    to the byte for the same seed; what an epoch costs is in timing.json.
+    to the byte for the same seed; what an epoch costs is in timing.json. An interrupted call goes on where it stopped.
     """
     import json
+    import shutil
     from pathlib import Path
 
     from rich.console import Console
 
     from insemu.cli.printing import print_table
-    from insemu.evaluate import only_writer
+    from insemu.evaluate import CACHE, only_writer
     from insemu.referee import REALIZATIONS, SEED, referee
     from insemu.report.referee import referee_answer, render_referee, start_rows, world_rows
     from insemu.whole import put
@@ -43,12 +44,14 @@ def command(
             seed=SEED if seed is None else seed,
             false_alarm=false_alarm,
             workers=workers,
+            cache=folder / CACHE,
             progress=lambda name, world: status.update(f"{name}: {world}"),
         )
         document = json.dumps([j.to_json() for j in found], indent=1, allow_nan=False)
         put(folder / "referee.json", document + "\n")
         seconds = {j.name: j.seconds_per_epoch for j in found}
         put(folder / "timing.json", json.dumps({"cpu_seconds_per_epoch": seconds}, indent=1) + "\n")
+        shutil.rmtree(folder / CACHE, ignore_errors=True)  # all of it is in the page
         page = render_referee(found, folder / "index.html", source=", ".join(j.name for j in found))
     if as_json:
         typer.echo(document)

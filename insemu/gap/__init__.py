@@ -8,10 +8,10 @@ from insemu.gap.beliefs.nominal import Nominal, load_nominal
 from insemu.gap.beliefs.refined import refined_nominal, write_refined
 from insemu.gap.candidates.axis import register
 from insemu.gap.data.sources import StaticLog, from_its_start, load_measured
-from insemu.gap.experiment import NextExperiment, design, experiment_said, write_experiment
+from insemu.gap.experiment import NextExperiment, design, promise_text, write_experiment
 from insemu.gap.policy import Policy, rules
 from insemu.gap.predictive import Check, check, kept
-from insemu.gap.problems.aids import is_looked_at
+from insemu.gap.problems.aids import is_judged
 from insemu.gap.problems.rest import find_static_gap
 from insemu.gap.session import applied, find_gap, with_only
 from insemu.gap.verdict import HALF_SAMPLE, Finding, GapReport, Interval, Member, Value, Where
@@ -32,14 +32,14 @@ __all__ = [
     "applied",
     "check",
     "design",
-    "experiment_said",
     "find_gap",
     "find_static_gap",
     "from_its_start",
-    "is_looked_at",
+    "is_judged",
     "kept",
     "load_measured",
     "load_nominal",
+    "promise_text",
     "refined_nominal",
     "register",
     "rules",

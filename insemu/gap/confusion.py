@@ -1,4 +1,4 @@
-"""What a recording cannot tell apart: how often a rival would stand beside an effect if the same recording were made again.
+"""What a recording cannot tell apart: how often a rival would stand next to an effect if the same recording were made again.
 
 The noise is drawn again, the motion, the filter and the effect stay: an effect of coefficients ``theta`` gives the right-hand sides
 ``A theta + G' z`` of the linear model of the innovations, ``z`` standard normal, and every effect is weighed on them exactly as it is on the

@@ -76,21 +76,21 @@ class Promise:
     ----------
     manoeuvre : Manoeuvre
     duration_s : float
-    told : mapping of (truth, other) to float
-        Share of repetitions in which the truth, an effect and its sensor, is told from another member of the class.
+    distinguished : mapping of (truth, other) to float
+        Share of repetitions in which the truth, an effect and its sensor, is distinguished from another member of the class.
     leads : mapping of (truth, other) to float
         Its mean lead, nats.
     """
 
     manoeuvre: Manoeuvre
     duration_s: float
-    told: Mapping[Pair, float]
+    distinguished: Mapping[Pair, float]
     leads: Mapping[Pair, float]
 
     @property
     def share(self) -> float:
         """Mean over the pairs."""
-        return sum(self.told.values()) / len(self.told)
+        return sum(self.distinguished.values()) / len(self.distinguished)
 
     @property
     def lead(self) -> float:
@@ -114,7 +114,7 @@ class NextExperiment:
     truths : mapping of (effect, sensor), with the axes where a class has an effect twice, to Finding
         Each member as it would be, were it the truth.
     kept : mapping of (truth, other) to (int, int)
-        Emulated recordings in which the truth was told from the other, and how many there were.
+        Emulated recordings in which the truth was distinguished from the other, and how many there were.
     nominal : Nominal
         What is believed of the sensor, everything but the class taken off.
     fixes : Fixes
@@ -374,12 +374,12 @@ class _Asked:
     def promise(self, m: Manoeuvre, scene: Scene, rng: np.random.Generator) -> Promise:
         """What a manoeuvre would tell: the noise drawn again, every member weighed."""
         repeated = Repetitions.of(scene.data, rng)
-        told, leads = {}, {}
+        distinguished, leads = {}, {}
         for key in self.truths:
             index, coefficients = self._enters(scene, key, repeated.noise.shape[1], rng)
             for other, lead in self._leads(scene, repeated.noise, key, scene.data.A[:, index] @ coefficients).items():
-                told[key, other], leads[key, other] = float(np.mean(lead > rules().lead)), float(np.mean(lead))
-        return Promise(m, float(scene.motion.t[-1] - scene.motion.t[0]), told, leads)
+                distinguished[key, other], leads[key, other] = float(np.mean(lead > rules().lead)), float(np.mean(lead))
+        return Promise(m, float(scene.motion.t[-1] - scene.motion.t[0]), distinguished, leads)
 
     def _enters(self, scene: Scene, key: Key, draws: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Array]:
         """Columns of a truth in a scene and its coefficients (k, draws)."""
@@ -432,18 +432,18 @@ class _Asked:
 # -- on paper ---------------------------------------------------------------------------------------------------------------------------
 
 
-def experiment_said(x: NextExperiment) -> list[str]:
+def promise_text(x: NextExperiment) -> list[str]:
     """The promise in words, a line for the manoeuvre and one for each pair."""
     lines = [
         f"{x.best.manoeuvre.name}, {x.best.duration_s:.0f} s by {x.best.manoeuvre.vehicle.replace('_', ' ')}: "
-        f"{100.0 * x.best.share:.0f} % of the pairs told apart (the same drive again: {100.0 * x.now.share:.0f} %)"
+        f"{100.0 * x.best.share:.0f} % of the pairs distinguished (the same drive again: {100.0 * x.now.share:.0f} %)"
     ]
-    for (truth, other), share in x.best.told.items():
+    for (truth, other), share in x.best.distinguished.items():
         words = f"{_name(truth)} from {_name(other)}: {100.0 * share:.0f} %, lead {x.best.leads[truth, other]:.1f} nats"
         kept = x.kept.get((truth, other))
         lines.append(words + (f"; emulated {kept[0]} of {kept[1]}" if kept else ""))
-    if any(max(p.told[pair] for p in x.tried) < 0.5 for pair in x.best.told):
-        lines.append("pairs below a half are told apart by none of the manoeuvres that were tried")
+    if any(max(p.distinguished[pair] for p in x.tried) < 0.5 for pair in x.best.distinguished):
+        lines.append("pairs below a half are distinguished by none of the manoeuvres that were tried")
     return lines
 
 
@@ -452,7 +452,7 @@ def _name(key: Key) -> str:
 
 
 def write_experiment(x: NextExperiment, path: str | Path) -> tuple[Path, Path]:
-    """Write the experiment as a scenario that the emulator takes, and its waypoints beside it.
+    """Write the experiment as a scenario that the emulator takes, and its waypoints next to it.
 
     The scenario's truth is the member that was named; ``insemu emulate`` makes the recording on which the analysis can be tried.
 
@@ -469,7 +469,7 @@ def write_experiment(x: NextExperiment, path: str | Path) -> tuple[Path, Path]:
     path = Path(path)
     table = path.with_suffix(".csv")
     if table == path:
-        raise InputError(f"found '{path.name}', expected a file .yaml; the waypoints go beside it", where="--next")
+        raise InputError(f"found '{path.name}', expected a file .yaml; the waypoints go next to it", where="--next")
     w = x.best.manoeuvre.waypoints
     rows = ["lat [deg], lon [deg], height [m], speed [m/s]"]
     rows += [
@@ -484,7 +484,7 @@ def write_experiment(x: NextExperiment, path: str | Path) -> tuple[Path, Path]:
         true["effects"] = [u.to_mapping() for u in uses]
     document = {
         "title": f"The next experiment: {x.best.manoeuvre.name}",
-        "notes": "\n".join(experiment_said(x)) + "\n",
+        "notes": "\n".join(promise_text(x)) + "\n",
         "seed": 1,
         "realizations": 1,
         "trajectory": {"waypoints": table.name, "vehicle": x.best.manoeuvre.vehicle},

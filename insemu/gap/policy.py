@@ -59,10 +59,10 @@ class Policy:
     mounting_share: float = _decides(
         0.5, "1", "real-drives", "The same for a wrong mounting: a drive whose angles are found in its first half is judged on all of the second."
     )
-    keep_nats: float = _decides(2.0, "nats", "two", "What an effect or an axis of a drive must be worth beside the others to be kept.")
+    keep_nats: float = _decides(2.0, "nats", "two", "What an effect or an axis of a drive must be worth next to the others to be kept.")
     swap_nats: float = _decides(0.5, "nats", "two", "By how much a rival must beat an earlier effect, reconsidered, to take its place.")
     confusable: float = _decides(
-        0.1, "1", "drive-repeated", "Share of repeated recordings in which a rival stands beside an effect to be told as confusable."
+        0.1, "1", "drive-repeated", "Share of repeated recordings in which a rival stands next to an effect to be called confusable."
     )
     doubt: float = _decides(
         0.05, "1", "real-drives", "How rarely chance alone lets scores of stretches vary so much that the evidence of an effect counts less."
@@ -134,7 +134,7 @@ class Policy:
     )
     evident: float = _decides(10.0, "sigma", "one", "Residual of a sample that stands out by itself.")
     alike: float = _decides(0.8, "1", "one", "Share of such residuals that must look like single samples.")
-    beside: float = _decides(5.0, "sigma", "one", "Residual that counts as an outlier beside an evident one.")
+    beside: float = _decides(5.0, "sigma", "one", "Residual that counts as an outlier next to an evident one.")
     alone: float = _decides(8.0, "sigma", "one", "Distance from the neighbours at which a sample is kept out of the high-pass.")
     tone_piece_s: float = _decides(4.0, "s", "outside", "Length of the pieces in which a tone is followed.")
     tone_pieces: int = _decides(12, "1", "outside", "Fewest pieces in which a tone is followed.")
@@ -163,7 +163,7 @@ class Policy:
         0.6, "of the fixes' span", "two", "What lasts longer is an offset of the rest: 909 of 964 s of a real drive."
     )
     further_step: float = _decides(
-        15.0, "nats", "real-drives", "What a step in the fixes must be worth beside another: small ones follow any slow error."
+        15.0, "nats", "real-drives", "What a step in the fixes must be worth next to another: small ones follow any slow error."
     )
     lowest_level: float = _decides(0.05, "1", "real-drives", "Receivers state up to 20 times the scatter from fix to fix: they mean slow errors.")
     highest_level: float = _decides(8.0, "1", "one", "Largest ratio of a level of the fixes to what is stated.")

@@ -31,7 +31,7 @@ from insemu.errors import InputError
 from insemu.filters import FilterOptions, FilterResult, InitialSigma, run_filter
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.data import louder
-from insemu.gap.drive import FIRST, by_filter, for_filter, outlying, starting_state, told_of, with_sigma, without
+from insemu.gap.drive import FIRST, by_filter, for_filter, known_outliers, outlying, starting_state, with_sigma, without
 from insemu.gap.problems import drive_without
 from insemu.lost import Lost, as_noise, restored
 from insemu.records import AXES, GnssRecord, ImuRecord, Recording, Trajectory
@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 #: Statistics of the innovations and errors at the end of outages, m, of an emulated recording.
 Made = tuple[Array, Array]
 
-#: Time in which the twin's motion comes back to the estimated one, s: short beside what a bias needs to carry it away, long beside a fix.
+#: Time in which the twin's motion comes back to the estimated one, s: short next to what a bias needs to carry it away, long next to a fix.
 FOLLOW_S = 5.0
 #: Length of an outage, from the start of one to that of the next, and how late a fix may be at its end, s.
 OUTAGE_S, APART_S, LATE_S = 60.0, 30.0, 2.0
@@ -181,7 +181,7 @@ class Twin:
     outages: Array
 
     def recording(self, seed: int, number: int) -> Recording:
-        """One emulated recording, the same whatever is asked beside it."""
+        """One emulated recording, the same whatever is asked next to it."""
         of_imu, of_fixes = np.random.default_rng([seed, number]).spawn(2)
         effects = self.model.effects
         imu = corrupt(
@@ -207,11 +207,11 @@ class Twin:
         arm = self.bare.gnss.lever_arm
         taken = compensated(recording, self.model.effects, trajectory=self.motion, lever_arm=arm)
         assert taken.gnss is not None
-        return self.run_apart_from_outliers(taken.imu, with_sigma(taken.gnss, self.bare))
+        return self.run_without_outliers(taken.imu, with_sigma(taken.gnss, self.bare))
 
-    def run_apart_from_outliers(self, imu: ImuRecord, gnss: GnssRecord) -> FilterResult:
+    def run_without_outliers(self, imu: ImuRecord, gnss: GnssRecord) -> FilterResult:
         """The filter on a recording less the model's effects; where the model knows outliers, on the fixes that are none."""
-        gone = outlying(by_filter(lambda g: self.run(imu, g), gnss), told_of(self.model.effects, gnss))
+        gone = outlying(by_filter(lambda g: self.run(imu, g), gnss), known_outliers(self.model.effects, gnss))
         return self.run(imu, without(gnss, gone))
 
     def run(self, imu: ImuRecord, gnss: GnssRecord) -> FilterResult:
@@ -271,7 +271,7 @@ def check(
         )
     done = 0
 
-    def told(_: Made) -> None:
+    def count(_: Made) -> None:
         nonlocal done
         done += 1
         progress(f"emulated recording {done} of {recordings}")
@@ -280,7 +280,7 @@ def check(
         of = tuple(dict.fromkeys(where for _, where in names if where in COMPONENTS))
         own_key = f"{_identity(measured, model)}-{seed}"
         items = {f"{own_key}-{k}": (twin, seed, k, of) for k in range(recordings)}
-        made = list(run_items(items, _one, pool=pool, store=store, done=told).values())
+        made = list(run_items(items, _one, pool=pool, store=store, done=count).values())
     drawn, metres = np.stack([m[0] for m in made]), np.stack([m[1] for m in made])
     low, middle, high = np.nanquantile(drawn, [0.025, 0.5, 0.975], axis=0)
     share = (drawn < values).mean(axis=0) + 0.5 * (drawn == values).mean(axis=0)
@@ -330,7 +330,7 @@ def _one(item: tuple[Twin, int, int, tuple[str, ...]]) -> Made:
 
 def twin_of(measured: Recording, model: Nominal) -> tuple[Twin, FilterResult]:
     """The motion of a recording with a model, and the filter's run on the recording itself."""
-    # outliers are told by one rule in what was measured and in what is emulated: a statistic of both is the same function
+    # outliers are found by one rule in what was measured and in what is emulated: a statistic of both is the same function
     drawn = replace(model, effects=tuple(u for u in model.effects if u.id not in FIRST))
     # what was lost is filled in, as it is in what is emulated
     lost: tuple[Lost, ...] = ()
@@ -351,7 +351,7 @@ def twin_of(measured: Recording, model: Nominal) -> tuple[Twin, FilterResult]:
     stated = with_sigma(measured.gnss, model)
     empty = Trajectory(imu.t, np.zeros((len(imu), 3)), np.zeros((len(imu), 3)), np.zeros((len(imu), 3)))
     twin = Twin(imu, empty, measured, stated, model, bare, beliefs, (state, sigma), outages)
-    own = twin.run_apart_from_outliers(imu, with_sigma(gnss, bare))
+    own = twin.run_without_outliers(imu, with_sigma(gnss, bare))
     ideal, motion = motion_of(imu, own)
     temperature = measured.imu.temperature
     if temperature is not None:

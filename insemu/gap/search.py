@@ -1,4 +1,4 @@
-"""The one search: name the best effect, add it, weigh the earlier ones again beside it, until nothing is worth the threshold."""
+"""The one search: name the best effect, add it, weigh the earlier ones again next to it, until nothing is worth the threshold."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from insemu.gap.policy import rules
 
 @dataclass(frozen=True)
 class Again(Generic[C]):
-    """An effect that was found, weighed again beside all the others.
+    """An effect that was found, weighed again next to all the others.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Problem(Protocol[C]):
     found: list[Found[C]]
 
     def rank(self) -> list[Hypothesis[C]]:
-        """Every effect beside what was found, best first."""
+        """Every effect next to what was found, best first."""
 
     def choose(self, ranked: Sequence[Hypothesis[C]]) -> Found[C] | None:
         """What to add, or ``None`` where the search ends."""
@@ -50,7 +50,7 @@ class Problem(Protocol[C]):
         """Change the model as a hypothesis says, and keep it among what was found; whether even it is to be weighed again at once."""
 
     def again(self, old: Found[C]) -> Again[C] | None:
-        """An earlier finding beside all the others; ``None`` where it is not asked for again."""
+        """An earlier finding next to all the others; ``None`` where it is not asked for again."""
 
     def put(self, old: Found[C], new: Hypothesis[C], again: Again[C]) -> None:
         """Let a hypothesis stand in the place of a finding.

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from insemu import rotation
 from insemu.blas import on_one_thread
 from insemu.effects import adds, join_of, joined
 from insemu.errors import InputError
@@ -20,16 +21,16 @@ from insemu.gap.candidates.shapes import EQUATIONS
 from insemu.gap.candidates.signs import check_signs
 from insemu.gap.candidates.timing import find_times
 from insemu.gap.data.sources import StaticLog
-from insemu.gap.drive.preparation import Flown
+from insemu.gap.drive.preparation import Flown, Prepared
 from insemu.gap.holdout import DriveScore
 from insemu.gap.policy import Policy, rules, under
-from insemu.gap.problems.aids import Looked, aids_looked_at, check_aids
+from insemu.gap.problems.aids import AidReport, check_aids, find_aid_effects
 from insemu.gap.problems.findings import with_effect
-from insemu.gap.problems.joint_estimate import MOST_TURNS, left
-from insemu.gap.problems.known_effects import both_told, drive_without, in_imu_axes, static_without, struck_out
+from insemu.gap.problems.joint_estimate import MOST_TURNS, gauss_newton_step
+from insemu.gap.problems.known_effects import all_outliers, drive_without, in_imu_axes, static_without, struck_out
 from insemu.gap.problems.rest import find_static_gap
-from insemu.gap.verdict import Finding, GapReport, Interval, half_sample_said, held_out_said, judged
-from insemu.gap.worth import worth_of_mounting, worth_of_settled
+from insemu.gap.verdict import Finding, GapReport, Interval, judged, with_half_sample, with_held_out
+from insemu.gap.worth import worth_of_early, worth_of_mounting
 from insemu.prepared import left_out
 from insemu.records import AXES, Recording
 
@@ -131,7 +132,7 @@ def _find(
             flown,
             pool,
         )
-    return held_out_said(report)
+    return with_held_out(report)
 
 
 def _drive(
@@ -160,7 +161,7 @@ def _drive(
     recording, moved = first.recording, first.nominal
     check_signs(first, say)
     for late in find_times(first, without, say):
-        now, flown = taken(replace(late, metres=worth_of_settled(first.prepared, late))), None
+        now, flown = taken(replace(late, metres=worth_of_early(first.prepared, late))), None
     if early:
         recording, moved = drive_without(measured, now)
     mounted = None
@@ -183,16 +184,19 @@ def _drive(
         recording, moved, rng=rng, without=skip, progress=say, flown=flown, came=first if early else None, pool=scores
     )
     known = struck_out(drive_without(measured, now, {})[0], recording)
-    report = replace(report, outliers=both_told(measured, known, report.outliers))
-    out = _together(report, early, mounted, nominal)
+    report = replace(report, outliers=all_outliers(measured, known, report.outliers))
+    out = _with_early(report, early, mounted, nominal)
     assert measured.gnss is not None
     out = replace(out, assumed=left_out(measured.imu, measured.gnss, float(first.prepared.imu.t[0])))
 
     def search(recording: Recording, moved: Nominal) -> GapReport:
         return find_dynamic_gap(recording, moved, rng=rng, without=skip, progress=say)[0]
 
-    out, refined = _looked_closer(measured, nominal, out, search, [s.effect for s in early], say)
-    out = replace(out, findings=tuple(half_sample_said(s, measured.imu) for s in out.findings))
+    out, refined = _further_passes(measured, nominal, out, search, [s.effect for s in early], say)
+    if mounted is not None and len(out.findings) > (mounted.finding is not None):
+        flown_as = refined or _refined(measured, nominal, out)
+        out, refined = _mounted_again(out, flown_as, mounted, first.prepared, say), None
+    out = replace(out, findings=tuple(with_half_sample(s, measured.imu) for s in out.findings))
     if hold_out:
         say("scoring on held-out fixes")
         out = _scored(out, held_out(), mounted)
@@ -200,13 +204,13 @@ def _drive(
         return out
     after = Flown.of(*(refined or _refined(measured, nominal, out))) if out.findings else first
     if measured.aids:
-        out = _with_aids(out, aids_looked_at(after.prepared, after.recording.aids, without, say, hold_out=hold_out))
+        out = _with_aids(out, find_aid_effects(after.prepared, after.recording.aids, without, say, hold_out=hold_out))
     if not pictures:
         return out
     return replace(out, curves={**out.curves, "drive": _pictures(first, after, nominal)})
 
 
-def _with_aids(report: GapReport, looked: Looked) -> GapReport:
+def _with_aids(report: GapReport, looked: AidReport) -> GapReport:
     """A report with what was found of the aids behind what IMU and fixes show: these are not judged by aids."""
     alone = report.verdict == "nothing missing" and looked.findings
     return replace(
@@ -219,12 +223,40 @@ def _with_aids(report: GapReport, looked: Looked) -> GapReport:
     )
 
 
-def _looked_closer(
+def _mounted_again(
+    report: GapReport,
+    refined: tuple[Recording, Nominal],
+    mounted: Mounted,
+    prepared: Prepared,
+    say: Callable[[str], None],
+) -> GapReport:
+    """A report whose mounting angles are those that the filter shows when it flies everything that was found.
+
+    They were estimated before the search, against a heading that a drifting clock or a scale factor moved.
+    """
+    before = next((s for s in report.findings if s.effect == "mounting"), None)
+    more = find_mounting(*refined, say, known=before is not None)
+    if more.finding is None:
+        return report
+    finding = more.finding
+    if before is not None:
+        turned = rotation.dcm_from_rpy(more.rpy) @ rotation.dcm_from_rpy([v.value for v in before.parameters])
+        angles = zip(finding.parameters, rotation.rpy_from_dcm(turned), strict=True)
+        finding = replace(before, parameters=tuple(v.shifted(float(angle) - v.value) for v, angle in angles))
+    finding = replace(finding, metres=worth_of_mounting(prepared, finding))
+    findings = sorted([*(s for s in report.findings if s is not before), finding], key=lambda s: -s.nats)
+    after = [w for w in report.after if w not in mounted.after]
+    return replace(
+        report, findings=tuple(findings), after=tuple(sorted((*after, *more.after), key=lambda w: w.p_value))
+    )
+
+
+def _further_passes(
     measured: Recording,
     nominal: Nominal,
     report: GapReport,
     search: Callable[[Recording, Nominal], GapReport],
-    settled: Collection[str],
+    early: Collection[str],
     say: Callable[[str], None],
 ) -> tuple[GapReport, tuple[Recording, Nominal] | None]:
     """A report after further passes about what is strong, and the recording with its nominal model less all of it where the last pass flew that.
@@ -235,22 +267,22 @@ def _looked_closer(
     for turn in range(MOST_PASSES):
         if not _bends(report.findings):
             return report, None
-        report, refined = _estimated_together(measured, nominal, report, say)
+        report, refined = _joint_estimate(measured, nominal, report, say)
         say(f"the refined model against the recording, {turn + 1}")
         more = search(*in_imu_axes(*refined))
-        corrected = _closer(report, more, settled)
+        corrected = _merged_pass(report, more, early)
         if corrected is report:
             return report, refined
-        corrected = replace(corrected, outliers=both_told(measured, report.outliers, more.outliers))
+        corrected = replace(corrected, outliers=all_outliers(measured, report.outliers, more.outliers))
         remains = _bending(more.findings)
         if remains > worth + rules().lead:
             say("the correction before is taken back: it left more than there was")
             return before, None
         before, report, worth = report, corrected, remains
-    return _estimated_together(measured, nominal, report, say) if _bends(report.findings) else (report, None)
+    return _joint_estimate(measured, nominal, report, say) if _bends(report.findings) else (report, None)
 
 
-def _estimated_together(
+def _joint_estimate(
     measured: Recording, nominal: Nominal, report: GapReport, say: Callable[[str], None]
 ) -> tuple[GapReport, tuple[Recording, Nominal]]:
     """A report whose numbers are those of all its effects at once, and the recording with its nominal model less all of it.
@@ -261,7 +293,7 @@ def _estimated_together(
     before, gain = (report, now), math.inf
     try:
         for _ in range(MOST_TURNS):
-            step = left(*in_imu_axes(*now), report.findings)
+            step = gauss_newton_step(*in_imu_axes(*now), report.findings)
             say(f"all numbers together: {step.gain:.1f} nats")
             if step.gain > gain:
                 return before
@@ -272,7 +304,7 @@ def _estimated_together(
             now = _refined(measured, nominal, report)
     except InputError:  # no filter runs on a recording less these numbers
         return before
-    # which fixes are outliers is told again beside the new numbers
+    # which fixes are outliers is estimated again next to the new numbers
     again = drive_without(measured, _refined_nominal(measured, nominal, report))
     gone = struck_out(_refined(measured, nominal, replace(report, outliers={}))[0], again[0])
     return replace(report, outliers=gone), again
@@ -339,7 +371,7 @@ def check(measured: Recording, nominal: Nominal) -> None:
         )
 
 
-def _together(report: GapReport, early: list[Finding], mounted: Mounted | None, nominal: Nominal) -> GapReport:
+def _with_early(report: GapReport, early: list[Finding], mounted: Mounted | None, nominal: Nominal) -> GapReport:
     """The report of the search with what was taken off before it."""
     findings = list(report.findings)
     for finding in early:
@@ -381,7 +413,7 @@ def _added_up(findings: list[Finding], earlier: Finding) -> list[Finding]:
     for k, s in enumerate(findings):
         if (s.effect, s.sensor) == (earlier.effect, earlier.sensor):
             values = tuple(v.shifted(known.get(v.name, 0.0)) for v in s.parameters)
-            # a doubt about the little that was found again is none about what was settled
+            # a doubt about the little that was found again is none about what was early
             both = replace(
                 s, parameters=values, nats=s.nats + earlier.nats, confidence=max(s.confidence, earlier.confidence),
                 doubtful=earlier.doubtful, members=earlier.members, metres=_larger(s.metres, earlier.metres),
@@ -390,7 +422,7 @@ def _added_up(findings: list[Finding], earlier: Finding) -> list[Finding]:
     return [*findings, earlier]
 
 
-def _closer(report: GapReport, more: GapReport, settled: Collection[str]) -> GapReport:
+def _merged_pass(report: GapReport, more: GapReport, early: Collection[str]) -> GapReport:
     """A report with what the recording still says once its effects are known; the same object where that is nothing new."""
     findings = list(report.findings)
     changed = False
@@ -398,7 +430,7 @@ def _closer(report: GapReport, more: GapReport, settled: Collection[str]) -> Gap
         if _is_level(m):
             findings, changed = _multiplied(findings, m), True
             continue
-        alike = [i for i, s in enumerate(findings) if _alike(s, m)]
+        alike = [i for i, s in enumerate(findings) if _same_effect(s, m)]
         k = next((i for i in alike if _share(findings[i], m)), alike[0] if alike else None)
         if k is None and m.sensor not in ("gnss", "imu") and not adds(m.effect):
             continue  # what the IMU shows above its motion was searched once; more of it would only chase what changes with time
@@ -414,10 +446,10 @@ def _closer(report: GapReport, more: GapReport, settled: Collection[str]) -> Gap
         return report
     findings = sorted((s for s in map(_pruned, findings) if s is not None), key=lambda s: -s.nats)
     if not more.remainder:
-        findings = [_settled(s) for s in findings]
+        findings = [_confirmed(s) for s in findings]
     return replace(
         report,
-        verdict=judged(findings, more.remainder, settled),
+        verdict=judged(findings, more.remainder, early),
         findings=tuple(findings),
         after=more.after,
         remainder=more.remainder,
@@ -426,7 +458,7 @@ def _closer(report: GapReport, more: GapReport, settled: Collection[str]) -> Gap
 
 def _by_owner(new: Finding, findings: Sequence[Finding]) -> list[Finding]:
     """A later finding in parts, where numbers of one effect stand in several earlier findings: each part corrects its own."""
-    owners = [s for s in findings if _alike(s, new) and _share(s, new)]
+    owners = [s for s in findings if _same_effect(s, new) and _share(s, new)]
     if len(owners) < 2:
         return [new]
     parts, left = [], list(new.parameters)
@@ -447,7 +479,7 @@ def _multiplied(findings: Sequence[Finding], new: Finding) -> list[Finding]:
     """Findings with a later pass's level: a factor of some axes multiplies theirs, and stands by itself on the others."""
     out, left = [], list(new.axes)
     for s in findings:
-        inside = tuple(a for a in s.axes if a in left) if _alike(s, new) else ()
+        inside = tuple(a for a in s.axes if a in left) if _same_effect(s, new) else ()
         outside = tuple(a for a in s.axes if a not in inside)
         if inside:
             out.append(replace(_corrected(s, replace(new, axes=inside)), axes=inside))
@@ -466,7 +498,7 @@ def _share(one: Finding, other: Finding) -> bool:
     return bool(_names(one) & _names(other))
 
 
-def _alike(one: Finding, other: Finding) -> bool:
+def _same_effect(one: Finding, other: Finding) -> bool:
     """Whether two findings are of one thing: the same effect of the same sensor, on the same axes and at the same time where it has one."""
     if (one.effect, one.sensor) != (other.effect, other.sensor):
         return False
@@ -512,7 +544,7 @@ def _pruned(finding: Finding) -> Finding | None:
     return replace(finding, parameters=kept, axes=axes)
 
 
-def _settled(finding: Finding) -> Finding:
+def _confirmed(finding: Finding) -> Finding:
     """A finding's confidence once its model agrees with the recording: its share of its class."""
     gains = [m.nats for m in finding.members] or [finding.nats]
     own = next((m.nats for m in finding.members if m.effect == finding.effect), gains[0])

@@ -123,7 +123,7 @@ class Finding:
     doubtful : bool
         Whether something that no candidate explains sits in the same place.
     confusable : tuple of Confusable
-        Effects that would stand beside it in a tenth or more of repetitions of the recording, most often first.
+        Effects that would stand next to it in a tenth or more of repetitions of the recording, most often first.
     metres : float
         Horizontal position error that it leaves at the end of a minute without fixes, m; NaN where nobody says.
     aided_nees : float
@@ -194,7 +194,7 @@ class Finding:
 HALF_SAMPLE = "half a sample"
 
 
-def half_sample_said(finding: Finding, imu: ImuRecord) -> Finding:
+def with_half_sample(finding: Finding, imu: ImuRecord) -> Finding:
     """A time offset that is half a sample said to be that, where samples were taken as values at their stamps.
 
     Parameters
@@ -501,7 +501,7 @@ class GapReport(Shown):
         }
 
 
-def held_out_said(report: GapReport) -> GapReport:
+def with_held_out(report: GapReport) -> GapReport:
     """The report with a refined model that does worse on data not used for naming called so in its remainder."""
     before, after, gain = report.gap_before, report.gap_after, report.held_out
     said = ""

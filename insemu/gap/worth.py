@@ -176,7 +176,7 @@ def _covariance(effect: str, p: Mapping[str, float], t: Array) -> Array | None:
     return None
 
 
-def worth_of_settled(prepared: Prepared, finding: Finding) -> float:
+def worth_of_early(prepared: Prepared, finding: Finding) -> float:
     """What a finding of known shape, settled before the search, is worth in metres: :func:`worth_in_motion` along the nominal filter's run.
 
     NaN for one without columns.

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import shutil
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -55,12 +57,15 @@ class Flights:
     pending: int = 0
 
     @classmethod
-    def of(cls, experiment: Experiment, count: int, workers: int = 1) -> Flights:
-        """Fly realizations 0 to ``count``."""
+    def of(cls, experiment: Experiment, count: int, workers: int = 1, cache: Path | None = None) -> Flights:
+        """Fly realizations 0 to ``count``, or take them from the folder ``cache``, where they are kept."""
+        if cache is not None and len(list((cache / experiment.digest).glob("*"))) != count:
+            # the rest alone would fly in other groups, and differ in the last digits
+            shutil.rmtree(cache / experiment.digest, ignore_errors=True)
         failed: dict[int, str] = {}
         pending = 0
         try:
-            items = list(fly(experiment, range(count), workers=workers))
+            items = list(fly(experiment, range(count), workers=workers, cache=cache))
         except FAILS:  # one that fails hides the others
             items = []
             for k in range(count):

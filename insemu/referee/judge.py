@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -244,6 +245,7 @@ def referee(
     seed: int = SEED,
     false_alarm: float = FALSE_ALARM,
     workers: int = 1,
+    cache: Path | None = None,
     progress: Callable[[str, str], None] = lambda filter, world: None,
 ) -> list[Judgement]:
     """Fly filters through the worlds, and judge what they state.
@@ -260,6 +262,8 @@ def referee(
     false_alarm : float
         Probability that anything is said against a right filter.
     workers : int
+    cache : path, optional
+        Folder where finished realizations are kept, so that an interrupted call goes on; estimates of other programs are read anew.
     progress : callable
         Called with filter and world before each.
 
@@ -277,7 +281,8 @@ def referee(
         drift: dict[str, list[Drift]] = {}
         for world in [*chosen, *starts().values()]:
             progress(label, world.name)
-            flights = Flights.of(world.experiment(filter, settings, seed), realizations, workers)
+            own = None if filter == "files" else cache
+            flights = Flights.of(world.experiment(filter, settings, seed), realizations, workers, own)
             flown[world.name] = flights
             if world in chosen:
                 drift[world.name] = drifts(flights, world.experiment("ekf", {}, seed))

@@ -105,7 +105,7 @@ class Nominal:
         return replace(self, gnss=self.gnss.model_copy(update=found)), drive
 
     @property
-    def settled_levels(self) -> NDArray[np.float64]:
+    def known_levels(self) -> NDArray[np.float64]:
         """Known levels of the fixes over the stated ones, (6,): position, then velocity, north, east, down."""
         out = np.ones(6)
         for use in self.effects:

@@ -14,17 +14,17 @@ from insemu.gap.policy import rules
 
 Array = NDArray[np.float64]
 
-#: Measurements whose median says what is slow where outliers are told.
+#: Measurements whose median says what is slow where outliers are looked for.
 MEDIAN = 11
-#: Rounds in which a share of outliers is told from the rest, and the largest share.
+#: Rounds in which a share of outliers is separated from the rest, and the largest share.
 ROUNDS, MOST_SHARE = 100, 0.3
-#: Robust standard deviations at which a residual counts less in the fit beside which outliers are told (Huber 1981).
+#: Robust standard deviations at which a residual counts less in the fit next to which outliers are looked for (Huber 1981).
 HUBER = 1.345
 
 
 @dataclass(frozen=True)
 class FarOff:
-    """What was told: the mixture of the row that shows it best, its stated standard deviation (SI), and which measurements (n,) are far off."""
+    """Outliers of an aid: the mixture of the row that shows it best, its stated standard deviation (SI), and which measurements (n,) are far off."""
 
     mixture: Mixture
     std: float
@@ -34,7 +34,7 @@ class FarOff:
 def far_off(measured: Measured) -> FarOff | None:
     """Which measurements are more likely far off than not, where a share of them is; None where none is.
 
-    Told beside every unit effect at its most likely size, robustly (Huber 1981), and beside what is slow.
+    Told beside every unit effect at its most likely size, robustly (Huber 1981), and next to what is slow.
     """
     _, columns = measured.unit_columns()
     # what shakes an aid is faster than motion and loud at times

@@ -1,4 +1,4 @@
-"""A bias that jumps once and stays in a log at rest, told by its block means."""
+"""A bias that jumps once and stays in a log at rest, found by its block means."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def at_rest(state: AxisState) -> list[AxisHypothesis]:
     starts = starts_at_rest(data, state.explanation, scale)
     if not math.isfinite(starts.nats):
         return []  # noise whose covariance has no factor
-    start = starts.told()
+    start = starts.estimate()
 
     def column(where: Reduced, _: Array | None) -> Array:
         # a later piece of the log lies behind the step
@@ -54,7 +54,7 @@ def paid_for_start(starts: Starts) -> float:
 
 
 def starts_at_rest(data: Reduced, explanation: Explanation, scale: float) -> Starts:
-    """Evidence of steps in a log at rest beside an explanation, at the present parameters of its noise.
+    """Evidence of steps in a log at rest next to an explanation, at the present parameters of its noise.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def starts_at_rest(data: Reduced, explanation: Explanation, scale: float) -> Sta
         return sized(np.einsum("nk,nk->k", G, own), G.T @ y, scale, rules().prior_scales)[0]
 
     times = np.linspace(data.block_s, (n - 1) * data.block_s, min(COARSE, n - 1))
-    return Starts.even(times, evidence(times)).closer(evidence)
+    return Starts.even(times, evidence(times)).refined(evidence)
 
 
 def step_of_blocks(data: Reduced, start: float) -> Array:

@@ -17,10 +17,10 @@ from insemu.gap.drive.fix_outliers import (
     Look,
     always,
     by_filter,
+    classified,
     less,
     log_joint,
     log_mixture,
-    told,
     under_colour,
 )
 from insemu.gap.drive.preparation import scaled_fixes
@@ -33,8 +33,8 @@ from insemu.gap.evidence.fixes import (
     NoiseFit,
     colour_values,
     gnss_noise_fits,
-    level_beside,
     level_name,
+    levels_with_colour,
     pooled,
 )
 from insemu.gap.evidence.linear import (
@@ -54,7 +54,7 @@ UNITS = {0: "m", 3: "m/s"}
 MIXTURE_STEPS = 30
 #: Median of the absolute value of a standard normal; change of the logarithm of a level, share or size at which it is settled.
 NORMAL_MEDIAN, SAME = 0.6745, 0.03
-#: Most times that outliers, and how many and how large they are, are told in turns.
+#: Most times that outliers, and how many and how large they are, are estimated in turns.
 MOST_TURNS = 10
 
 
@@ -165,7 +165,7 @@ def mixture(outliers: DriveHypothesis, v: Array, S: Array) -> Array:
     return log_mixture(v, S, *_share_and_sigma(outliers))
 
 
-def told_again(
+def classified_density(
     scene: Scene, outliers: DriveHypothesis, explained: tuple[NDArray[np.int64], Array], cut: float | None, gone: Array
 ) -> tuple[float, Array]:
     """Log density of all positions, or velocities, each an outlier or not as is more likely, without the constant; and times (k,) of the outliers, s.
@@ -184,17 +184,17 @@ def told_again(
         Times of those that are taken for outliers at first, s.
     """
     known = {outliers.effect: _share_and_sigma(outliers)}
-    of = np.where(scene.surrogate.use == 1, scene.surrogate.nu - scene.less_explained(*explained), 0.0)
+    of = np.where(scene.surrogate.use == 1, scene.surrogate.nu - scene.residual_innovations(*explained), 0.0)
     seen = _look(scene, outliers.effect, 1.0, scene, of)({outliers.effect: (gone, known[outliers.effect][1])})
     until = math.inf if cut is None else cut
-    out = told(seen, known, {outliers.effect: gone}, until)
+    out = classified(seen, known, {outliers.effect: gone}, until)
     value = log_joint(seen, known, out, until)
-    return value, (out if cut is None else told(seen, known, out, since=cut))[outliers.effect]
+    return value, (out if cut is None else classified(seen, known, out, since=cut))[outliers.effect]
 
 
 @dataclass(frozen=True)
 class Separated:
-    """Outliers told from the other fixes.
+    """Outliers and the other fixes.
 
     Parameters
     ----------
@@ -231,14 +231,14 @@ def without_outliers(
     outliers : DriveHypothesis
         From :func:`gnss_outliers`.
     cut : float or None
-        Those up to this time (s), their share and size are told from the fixes up to it; ``None``: from all.
+        Those up to this time (s), their share and size are estimated from the fixes up to it; ``None``: from all.
     seen : Scene
         In which the outliers were named.
     nu : (f, 6) array
         Innovations there less what is explained already, m and m/s.
     level : float, optional
         A level of them over that of the scene which was named before the outliers: it may have stood for them, and is estimated with them.
-        Outliers told at the nominal level would be every large error, and those left be such as follow the errors before.
+        Outliers found at the nominal level would be every large error, and those left be such as follow the errors before.
     """
     effect, until = outliers.effect, math.inf if cut is None else cut
     gone, now = np.zeros(0), 1.0 if level is None else level
@@ -247,7 +247,7 @@ def without_outliers(
     of, flown = _look(scene, effect, now, seen, explained)({effect: (gone, sigma)}), now
     for _ in range(MOST_TURNS):
         before = gone
-        gone = told(of, {effect: (share, sigma)}, {effect: gone}, until)[effect]
+        gone = classified(of, {effect: (share, sigma)}, {effect: gone}, until)[effect]
         _, v, S = of({effect: (gone, sigma)}, until)[effect]
         outliers = _share_and_size(outliers, v, S)
         was, (share, sigma) = np.array([share, sigma[0]]), _share_and_sigma(outliers)
@@ -262,7 +262,7 @@ def without_outliers(
         if not same:
             of, flown = _look(scene, effect, now, seen, explained)({effect: (gone, sigma)}), now
     if cut is not None:
-        gone = told(of, {effect: (share, sigma)}, {effect: gone}, since=cut)[effect]
+        gone = classified(of, {effect: (share, sigma)}, {effect: gone}, since=cut)[effect]
     return Separated(gone, outliers, now)
 
 
@@ -342,7 +342,7 @@ def covariance_hypotheses(
             surrogate, surrogate.log_likelihood(), loop.white[:k], y, trimmed=moved, skip=tuple(skip), named=named
         )
     else:
-        found = [] if "gnss_noise_level" in skip else level_beside(surrogate, scene.noise, moved, named)
+        found = [] if "gnss_noise_level" in skip else levels_with_colour(surrogate, scene.noise, moved, named)
     fits: dict[str, list[NoiseFit]] = {}
     for fit in found:
         fits.setdefault(fit.effect, []).append(fit)
@@ -406,7 +406,7 @@ def rows_of(level: DriveHypothesis) -> list[int]:
     return [int(r) for r in np.flatnonzero(about(level))]
 
 
-def apart_from_named(scene: Scene, rows: Sequence[Sequence[int]]) -> Array:
+def level_ratios(scene: Scene, rows: Sequence[Sequence[int]]) -> Array:
     """By what the filter's levels (6,) were moved, as ratios to what is stated of levels that are in question and to the other named ones.
 
     Parameters

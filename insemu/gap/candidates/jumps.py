@@ -38,7 +38,7 @@ JUMPS = ("bias_step", "lever_arm_step", "expression_step")
 
 @dataclass(frozen=True)
 class _Jump:
-    """An effect on one axis at any start, beside what is explained of the rows that are looked at.
+    """An effect on one axis at any start, next to what is explained of the rows that are looked at.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class _Jump:
     axis : str
     place : int
         Where it stands among the windows of a scene.
-    beside : Unexplained
+    unexplained : Unexplained
     columns : callable
         Unit jumps at times (k,), s, as columns (r, k).
     times : (n,) array
@@ -61,15 +61,15 @@ class _Jump:
     sensor: str
     axis: str
     place: int
-    beside: Unexplained
+    unexplained: Unexplained
     columns: Callable[[Array], Array]
     times: Array
     first: Array
     fixes: Array | None = None
 
-    def told(self, scan: Starts) -> Value:
+    def best_start(self, scan: Starts) -> Value:
         """The best start with its 95 % interval, s."""
-        start = scan.told()
+        start = scan.estimate()
         if self.fixes is None:
             return start
         before = max(int(np.searchsorted(self.fixes, start.low, side="right")) - 1, 0)
@@ -89,27 +89,27 @@ class _Jump:
         return self.at(times)[0]
 
     def _of(self, G: Array) -> tuple[Array, Array, Array]:
-        half, b = self.beside.of_columns(G)
-        a = np.einsum("rk,rk->k", G, G) / self.beside.data.variance - np.einsum("ck,ck->k", half, half)
+        half, b = self.unexplained.of_columns(G)
+        a = np.einsum("rk,rk->k", G, G) / self.unexplained.data.variance - np.einsum("ck,ck->k", half, half)
         widths = rules().prior_scales if self.effect == "bias_step" else sizes(self.effect)
         return sized(np.maximum(a, 1e-12), b, EFFECTS[self.effect].scale("value", self.sensor), widths)
 
 
-def bias_step(beside: Unexplained) -> list[DriveHypothesis]:
+def bias_step(unexplained: Unexplained) -> list[DriveHypothesis]:
     """Steps of the bias of each axis of the sensors, at every start.
 
     From knot to knot a step is the sum of the slow errors of the knots behind it.
 
     Parameters
     ----------
-    beside : Unexplained
+    unexplained : Unexplained
 
     Returns
     -------
     list of DriveHypothesis
         One per sensor; none where there are fewer than four times at which a step may start.
     """
-    scene, data, rows = beside.scene, beside.data, beside.rows
+    scene, data, rows = unexplained.scene, unexplained.data, unexplained.rows
     seen = scene.rows_t[rows]
     middles = 0.5 * (scene.knots[1:] + scene.knots[:-1])
     # a step from the first knots on is a turn-on bias, one behind the last fix is none
@@ -126,25 +126,27 @@ def bias_step(beside: Unexplained) -> list[DriveHypothesis]:
                 return scene.bias_step_columns(k, at)[rows]
 
             jumps.append(
-                _Jump("bias_step", sensor, axis, 3 + first + k, beside, columns, times, behind[:, 2 : 2 + times.size])
+                _Jump(
+                    "bias_step", sensor, axis, 3 + first + k, unexplained, columns, times, behind[:, 2 : 2 + times.size]
+                )
             )
         out.append(_best(jumps))
     return out
 
 
-def lever_arm_step(beside: Unexplained) -> list[DriveHypothesis]:
+def lever_arm_step(unexplained: Unexplained) -> list[DriveHypothesis]:
     """Changes of the lever arm along each axis of the body, at every start.
 
     Parameters
     ----------
-    beside : Unexplained
+    unexplained : Unexplained
 
     Returns
     -------
     list of DriveHypothesis
         One; none where there are fewer than four times at which a change may start.
     """
-    scene, rows = beside.scene, beside.rows
+    scene, rows = unexplained.scene, unexplained.rows
     seen = scene.rows_t[rows]
     count = int(np.searchsorted(scene.arm_starts, seen[-1] if seen.size else -math.inf))
     if count < FEWEST_STARTS:
@@ -158,38 +160,38 @@ def lever_arm_step(beside: Unexplained) -> list[DriveHypothesis]:
 
         own = first[:, k::3][:, :count]
         jumps.append(
-            _Jump("lever_arm_step", "gnss", axis, ARMS + k, beside, columns, scene.arm_starts[:count], own, t_fix)
+            _Jump("lever_arm_step", "gnss", axis, ARMS + k, unexplained, columns, scene.arm_starts[:count], own, t_fix)
         )
-    return [_best(jumps, _edges(beside))]
+    return [_best(jumps, _edges(unexplained))]
 
 
-def changed_term(beside: Unexplained) -> list[DriveHypothesis]:
+def changed_term(unexplained: Unexplained) -> list[DriveHypothesis]:
     """Errors of an axis that follow a signal from a time on, from every node of the filter.
 
     Parameters
     ----------
-    beside : Unexplained
+    unexplained : Unexplained
 
     Returns
     -------
     list of DriveHypothesis
         One per sensor; none where the fixes are whitened for another noise than the filter believes, which no pass backwards knows.
     """
-    scene, data, fixes = beside.scene, beside.data, beside.scene.loop.use
+    scene, data, fixes = unexplained.scene, unexplained.data, unexplained.scene.loop.use
     nodes = scene.loop.result.nodes
     assert nodes is not None
     t = scene.motion.t[nodes.epoch]
     if scene.noise is not None or t.size < FEWEST_STARTS + 2:
         return []
-    rows = np.flatnonzero(fixes)[beside.rows]
-    vectors = np.hstack([beside.left[:, None], beside.span])
+    rows = np.flatnonzero(fixes)[unexplained.rows]
+    vectors = np.hstack([unexplained.residual[:, None], unexplained.span])
     v = np.zeros((fixes.size, vectors.shape[1]))
     v[rows] = vectors
     count = int(rows[-1]) // 6 + 1 if rows.size else 0
     squares, products = scanned(scene.loop, scene.changing.built, v.reshape(*fixes.shape, -1), count)
     # inputs up to a node begin at the node before; from the first on they are there throughout
     squares, products, start, width = squares[2:], products[2:], t[1:-1], np.diff(t)[1:]
-    half = products[:, :, 1:] @ beside.inverse.T / data.variance
+    half = products[:, :, 1:] @ unexplained.inverse.T / data.variance
     a = np.maximum(squares / data.variance - np.einsum("ncq,ncq->nc", half, half), 1e-12)
     b = products[:, :, 0] / data.variance
     out, columns = [], scene.changing.columns
@@ -198,7 +200,7 @@ def changed_term(beside: Unexplained) -> list[DriveHypothesis]:
         weighed = [sized(a[:, j], b[:, j], columns[j].scale, sizes("expression_step")) for j in own]
         scans = [Starts(start, width, logs) for logs, _, _ in weighed]
         k = int(np.argmax([scan.nats for scan in scans]))
-        (_, mean, sd), column, best = weighed[k], columns[own[k]], scans[k].told()
+        (_, mean, sd), column, best = weighed[k], columns[own[k]], scans[k].estimate()
         nats = float(np.logaddexp.reduce([s.nats for s in scans])) - math.log(len(own)) - rules().step_rarer
         if not nats > -1.0:
             out.append(Hypothesis("expression_step", nats, (), Change(), "", sensor, column.axes))
@@ -210,10 +212,10 @@ def changed_term(beside: Unexplained) -> list[DriveHypothesis]:
     return out
 
 
-def _edges(beside: Unexplained) -> tuple[Array, Array]:
+def _edges(unexplained: Unexplained) -> tuple[Array, Array]:
     """Middles and widths, s, of gaps before fixes that surprise most in the directions in which a lever arm moves them."""
-    scene = beside.scene
-    t, (residuals, last), along = scene.prepared.result.fixes.t, beside.by_fix(), []
+    scene = unexplained.scene
+    t, (residuals, last), along = scene.prepared.result.fixes.t, unexplained.by_fix(), []
     for axis in range(3):
         g = np.einsum("kij,kj->ki", scene.loop.white, scene.arm_fixes(axis))
         along.append(np.einsum("ki,ki->k", residuals, g) / np.maximum(np.linalg.norm(g, axis=1), np.finfo(float).tiny))
@@ -228,15 +230,15 @@ def _best(jumps: Sequence[_Jump], edges: tuple[Array, Array] | None = None) -> D
     scans = [jump.scan() for jump in jumps]
     k = int(np.argmax([scan.logs.max() for scan in scans]))
     if scans[k].logs.max() > PROMISING:
-        scans[k] = scans[k].closer(jumps[k].evidence, CLOSE_CELLS if edges is None else ARM_CELLS)
+        scans[k] = scans[k].refined(jumps[k].evidence, CLOSE_CELLS if edges is None else ARM_CELLS)
     if edges is not None:
-        scans = [scan.beside(*edges, jump.evidence(edges[0])) for scan, jump in zip(scans, jumps, strict=True)]
+        scans = [scan.with_more(*edges, jump.evidence(edges[0])) for scan, jump in zip(scans, jumps, strict=True)]
         k = int(np.argmax([scan.logs.max() for scan in scans]))
     jump, best = jumps[k], scans[k]
     nats = float(np.logaddexp.reduce([scan.nats for scan in scans])) - math.log(len(jumps)) - rules().step_rarer
     if not nats > -1.0:
         return Hypothesis(jump.effect, nats, (), Change(), "", jump.sensor, (jump.axis,))
-    start = jump.told(best)
+    start = jump.best_start(best)
     _, mean, sd = jump.at(np.array([start.value]))
     value = Value.normal("value", float(mean[0]), float(sd[0]), EFFECTS[jump.effect].unit("value", jump.sensor))
     change = Change(window=(jump.place, start.value, math.inf))

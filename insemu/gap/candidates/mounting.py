@@ -217,7 +217,9 @@ def turned_recording(recording: Recording, rpy: Array) -> Recording:
     return compensated(recording, [EffectUse("mounting", "imu", {"rpy": (a, b, c)})])
 
 
-def find_mounting(recording: Recording, nominal: Nominal, progress: Callable[[str], None] = lambda _: None) -> Mounted:
+def find_mounting(
+    recording: Recording, nominal: Nominal, progress: Callable[[str], None] = lambda _: None, *, known: bool = False
+) -> Mounted:
     """Weigh the mounting angles of an IMU in a vehicle that moves where it points; large ones by turning and filtering again.
 
     Parameters
@@ -228,6 +230,8 @@ def find_mounting(recording: Recording, nominal: Nominal, progress: Callable[[st
         What is believed.
     progress : callable
         Told what is being done.
+    known : bool
+        Whether the mounting is known to be wrong: what it lacks is then estimated, however little it is.
 
     Raises
     ------
@@ -247,7 +251,7 @@ def find_mounting(recording: Recording, nominal: Nominal, progress: Callable[[st
         found = estimate(s, nominal)
         if first is None:
             first, start = s, found
-            if found.nats < rules().least_nats:
+            if found.nats < rules().least_nats and not known:
                 return Mounted(None, np.zeros(3), _tests(s, found), _tests(s, found))
         C = rotation.dcm_from_rpy(found.angles) @ C
         if np.max(np.abs(found.angles)) < ENOUGH:

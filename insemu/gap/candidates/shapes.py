@@ -1,4 +1,4 @@
-"""Every effect that the innovations of a drive or flight can show, weighed in one currency beside what is explained already."""
+"""Every effect that the innovations of a drive or flight can show, weighed in one currency next to what is explained already."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _SENSORS = (("gyro", 0), ("accel", 3))
 class Variant:
     """One way in which an effect may be present: columns, unit roots of its coefficients' prior, and amplitudes of that prior.
 
-    ``process`` says that the amplitude itself is the parameter and not the coefficients; ``odds`` how common it is beside a plain way.
+    ``process`` says that the amplitude itself is the parameter and not the coefficients; ``odds`` how common it is next to a plain way.
     """
 
     effect: str
@@ -185,8 +185,8 @@ def _late(scene: Scene) -> list[Variant]:
     ]  # fmt: skip
 
 
-def standing_beside(variants: Sequence[Variant], chosen: Sequence[DriveHypothesis]) -> list[Variant]:
-    """Variants that may stand beside what was chosen: an axis has one thermal bias where it has a lag.
+def compatible(variants: Sequence[Variant], chosen: Sequence[DriveHypothesis]) -> list[Variant]:
+    """Variants that may stand next to what was chosen: an axis has one thermal bias where it has a lag.
 
     Parameters
     ----------

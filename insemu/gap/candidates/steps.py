@@ -1,4 +1,4 @@
-"""Steps in the positions of a drive or flight, as an antenna beside a building sees them."""
+"""Steps in the positions of a drive or flight, as an antenna next to a building sees them."""
 
 from __future__ import annotations
 
@@ -33,26 +33,26 @@ STRETCHES, SURPRISES, BESIDE = (1, 2, 4, 8), 16, 2
 APART = 1.5
 
 
-def multipath_step(beside: Unexplained) -> list[DriveHypothesis]:
+def multipath_step(unexplained: Unexplained) -> list[DriveHypothesis]:
     """Scan start and duration of a step in the position fixes, on each axis; refined around the best.
 
     Parameters
     ----------
-    beside : Unexplained
+    unexplained : Unexplained
 
     Returns
     -------
     list of DriveHypothesis
         One, or none where there are fewer than four times at which a step may start.
     """
-    scene = beside.scene
+    scene = unexplained.scene
     if scene.starts.size < 4:
         return []
-    step = _step_anywhere(beside)
+    step = _step_anywhere(unexplained)
     apart = (scene.starts[1] - scene.starts[0]) / float(np.median(np.diff(scene.prepared.result.fixes.t)))
     missed = scene.noise is not None or apart > APART
-    at_edges = _step_at_edges(beside) if missed else None
-    return [(step if at_edges is None or step.nats > at_edges.nats else at_edges).told()]
+    at_edges = _step_at_edges(unexplained) if missed else None
+    return [(step if at_edges is None or step.nats > at_edges.nats else at_edges).hypothesis()]
 
 
 def _lasting(scene: Scene, rows: slice) -> tuple[float, float]:
@@ -62,12 +62,12 @@ def _lasting(scene: Scene, rows: slice) -> tuple[float, float]:
     return rules().shortest_step * float(np.median(np.diff(t))), rules().longest_step * float(seen[-1] - seen[0])
 
 
-def _step_anywhere(beside: Unexplained) -> _Step:
+def _step_anywhere(unexplained: Unexplained) -> _Step:
     """The best step of those that start and end at evenly spaced times, refined around it."""
-    scene, rows = beside.scene, beside.rows
+    scene, rows = unexplained.scene, unexplained.rows
     s, G, t_fix = scene.starts, scene.step_columns[rows], scene.prepared.result.fixes.t
     lasting = _lasting(scene, rows)
-    coarse = _scan_steps(beside, G, s, lasting)
+    coarse = _scan_steps(unexplained, G, s, lasting)
     nats = log_mean_exp(coarse.logs)
     c, i, j = coarse.best
     if coarse.top > -2.0:
@@ -76,7 +76,7 @@ def _step_anywhere(beside: Unexplained) -> _Step:
         starts = np.unique(np.concatenate([t_fix[np.abs(t_fix - x) <= spacing] for x in (s[i], s[j])]) + 1e-3)[:120]
         if starts.size >= 4:
             columns = scene.whitened(_axis_steps(scene, starts, c))[rows]
-            fine = _scan_steps(beside, columns, starts, lasting, axes=1)
+            fine = _scan_steps(unexplained, columns, starts, lasting, axes=1)
             if fine.top > coarse.top:
                 return _Step(
                     nats + fine.top - coarse.top, c, fine.value,
@@ -91,18 +91,18 @@ def _step_anywhere(beside: Unexplained) -> _Step:
     return _Step(nats, c, coarse.value, lambda: when)
 
 
-def _step_at_edges(beside: Unexplained) -> _Step | None:
+def _step_at_edges(unexplained: Unexplained) -> _Step | None:
     """The best step between fixes that surprise: evenly spaced times miss the edges, where alone it shows."""
-    scene, rows = beside.scene, beside.rows
+    scene, rows = unexplained.scene, unexplained.rows
     t_fix = scene.prepared.result.fixes.t
-    residuals, last = beside.by_fix()
+    residuals, last = unexplained.by_fix()
     top = surprising(residuals[:, :3])[:, None] - 1 + np.arange(-BESIDE, BESIDE + 1)
     before = np.unique(top[(top >= 0) & (top < last)])
     starts = t_fix[before] + 1e-3
     if starts.size < 4:
         return None
     columns = [scene.whitened(_axis_steps(scene, starts, c))[rows] for c in range(3)]
-    scans = [_scan_steps(beside, own, starts, _lasting(scene, rows), axes=1) for own in columns]
+    scans = [_scan_steps(unexplained, own, starts, _lasting(scene, rows), axes=1) for own in columns]
     c = int(np.argmax([scan.top for scan in scans]))
     # all pairs of fixes are as likely as these
     widths, pairs = scans[c].logs.size // max(scans[c].i.size, 1), 0.5 * last * (last - 1)
@@ -181,7 +181,7 @@ class _Step:
     value: tuple[float, float]
     when: Callable[[], tuple[Value, Value]]
 
-    def told(self) -> DriveHypothesis:
+    def hypothesis(self) -> DriveHypothesis:
         """The step as an effect, without values where it is worth nothing."""
         effect, axes = "gnss_multipath_step", (NED[self.axis],)
         if not self.nats > -1.0:
@@ -193,10 +193,10 @@ class _Step:
         )
 
 
-def _scan_steps(beside: Unexplained, G: Array, s: Array, lasting: tuple[float, float], axes: int = 3) -> _Scan:
-    (shortest, longest), variance = lasting, beside.data.variance
+def _scan_steps(unexplained: Unexplained, G: Array, s: Array, lasting: tuple[float, float], axes: int = 3) -> _Scan:
+    (shortest, longest), variance = lasting, unexplained.data.variance
     scale = EFFECTS["gnss_multipath_step"].scale("value", "gnss")
-    half, b_all = beside.of_columns(G)
+    half, b_all = unexplained.of_columns(G)
     i, j = np.triu_indices(s.size, 1)
     near = (s[j] - s[i] >= shortest) & (s[j] - s[i] <= longest)
     i, j = i[near], j[near]

@@ -49,7 +49,7 @@ def telegraph(state: AxisState) -> list[AxisHypothesis]:
     """
     data = state.data
     if "telegraph" in state.named or state.explanation.regressors:
-        return []  # levels and drifts of known shape are not told apart sample by sample
+        return []  # levels and drifts of known shape cannot be distinguished sample by sample
     twin = next(iter(gauss_markov(state)), None)
     if twin is None or twin.nats < -HOPELESS:
         return []

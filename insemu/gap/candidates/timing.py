@@ -62,7 +62,7 @@ class _Tried:
         return max(self.plain, self.lagged - rules().offset_nats)
 
     @property
-    def left(self) -> float:
+    def remaining(self) -> float:
         """Mean square that is left."""
         return self.square_lagged if self.has_lag else self.square
 
@@ -70,7 +70,7 @@ class _Tried:
 def find_times(
     start: Flown, without: Collection[str] = (), progress: Callable[[str], None] = lambda _: None
 ) -> list[Finding]:
-    """Weigh a large time offset, and beside it a lag of the velocities; empty where there is none.
+    """Weigh a large time offset, and next to it a lag of the velocities; empty where there is none.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def find_times(
         if offset not in known:
             progress(f"time offset {1e3 * offset:.0f} ms")
             known[offset] = _tried(
-                start.prepared.shifted(_moved(start.recording, offset)) if offset else start.prepared, lags
+                start.prepared.shifted(_with_stamps(start.recording, offset)) if offset else start.prepared, lags
             )
         return known[offset]
 
@@ -113,7 +113,7 @@ def find_times(
     best = known[offset]
     gain = best.score - base.score
     small = abs(offset) < rules().offset_least_s or gain < rules().offset_nats
-    if small or best.left > rules().offset_share * base.square or not found.success:
+    if small or best.remaining > rules().offset_share * base.square or not found.success:
         return []
     h = WIDTH_S
     bend = -(flown(offset + h).score - 2.0 * best.score + flown(offset - h).score) / h**2
@@ -122,7 +122,7 @@ def find_times(
         lag, left = best.lag, best
         for _ in range(MOST_LAGS):  # the signature is linear: what it leaves is looked for again
             progress(f"lag of the velocities {1e3 * lag:.0f} ms")
-            left = _tried(start.prepared.shifted(_moved(start.recording, offset, lag)), lags)
+            left = _tried(start.prepared.shifted(_with_stamps(start.recording, offset, lag)), lags)
             lag += left.lag
             if abs(left.lag) < left.sd:
                 break
@@ -130,7 +130,7 @@ def find_times(
     return out
 
 
-def _moved(recording: Recording, offset: float, lag: float = 0.0) -> Recording:
+def _with_stamps(recording: Recording, offset: float, lag: float = 0.0) -> Recording:
     """A recording with the stamps of the IMU and of the velocities put right, s."""
     gnss = recording.gnss
     assert gnss is not None

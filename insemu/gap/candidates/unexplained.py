@@ -66,20 +66,20 @@ class Unexplained:
         return out, int(fix[self.rows][-1]) if fix[self.rows].size else 0
 
     def of_columns(self, G: Array) -> tuple[Array, Array]:
-        """What columns (r, c) have in common with the explained, (k, c), and their right-hand sides (c,) beside it."""
+        """What columns (r, c) have in common with the explained, (k, c), and their right-hand sides (c,) next to it."""
         half = self._solved[2] @ (self.span.T @ G) / self.data.variance
-        return half, G.T @ self.left / self.data.variance
+        return half, G.T @ self.residual / self.data.variance
 
-    def less(self, column: Array) -> Array:
+    def residual_of(self, column: Array) -> Array:
         """A column (r,) less what the explained can be of it."""
         G, root, inverse = self._solved
         explained = inverse.T @ (inverse @ (root.T @ (G.T @ column))) / self.data.variance
         return np.asarray(column - G @ (root @ explained))
 
     @cached_property
-    def left(self) -> Array:
+    def residual(self) -> Array:
         """The innovations (r,) less what is explained of them."""
-        return self.less(self.data.y)
+        return self.residual_of(self.data.y)
 
     @cached_property
     def normal(self) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from insemu import rotation
 from insemu.effects import Motion
 from insemu.gap.candidates.axis import AxisState, whitened
-from insemu.gap.checks.rest import DRAWS, Entry, chi_square_p, correlation_p, followed, left_over
+from insemu.gap.checks.rest import DRAWS, Entry, chi_square_p, correlation_p, followed, residual_variance
 from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import LEVEL_GROUPS, level_derivatives, level_scores
 from insemu.gap.policy import rules
@@ -49,7 +49,7 @@ def innovation_tests(scene: Scene, y: Array) -> list[Entry]:
         mean = float(2.0 * scipy.stats.norm.sf(abs(z.mean()) * math.sqrt(n)))
         white = float(scipy.stats.chi2.sf(np.sum(rho**2 * (n - lags)), lags.size))
         out.append((f"{what} innovation mean", "gnss", axis, None, mean))
-        left = max(left_over(2.0 * n, 1.0, slope, spent), rules().nis_left * 2.0 * n)
+        left = max(residual_variance(2.0 * n, 1.0, slope, spent), rules().nis_left * 2.0 * n)
         square = float(z @ z)
         shaken = what == "velocity" and scene.prepared.swings
         if shaken:  # how loud the antenna swings north and east is known no better than a level
@@ -157,7 +157,7 @@ def _means(t: Array, x: Array, edges: Array) -> Array:
 
 
 def regression_p(z: Array, X: Array) -> float:
-    """p-value of the F test of ``z`` (n,) on the columns of ``X`` (n, k) beside a constant; 1 where they do not vary."""
+    """p-value of the F test of ``z`` (n,) on the columns of ``X`` (n, k) next to a constant; 1 where they do not vary."""
     X = X - X.mean(axis=0)
     u, s, _ = np.linalg.svd(X / np.maximum(np.std(X, axis=0), 1e-300), full_matrices=False)
     basis = u[:, s > 1e-6 * max(float(s[0]), 1.0)]

@@ -124,7 +124,7 @@ def wavelet_moments(
         expected = 2.0 * float(np.trapezoid(S * gain, f))
         spread = 2.0 * float(np.trapezoid((S * gain) ** 2, f)) * 2.0 / (w.size * dt)
         g = 2.0 * np.trapezoid(slopes * gain, f, axis=1)
-        out.append((2.0 * m * dt, float(np.mean(w * w)), expected, left_over(spread, share, g, spent)))
+        out.append((2.0 * m * dt, float(np.mean(w * w)), expected, residual_variance(spread, share, g, spent)))
         m *= 2
     gamma, slopes = _with_slopes(explanation, lambda e: e.covariance(data.block, dt, data.differences.size), spent)
     draws = _draw(gamma, DRAWS, rng)
@@ -139,7 +139,7 @@ def wavelet_moments(
         lags[1:] *= 2.0
         expected, g = float(gamma[: lags.size] @ lags), slopes[:, : lags.size] @ lags
         variance = float(_haar(paths, span).var())
-        out.append((2.0 * span * data.block_s, measured, expected, left_over(variance, 1.0, g, spent)))
+        out.append((2.0 * span * data.block_s, measured, expected, residual_variance(variance, 1.0, g, spent)))
         span *= 2
     return out
 
@@ -196,7 +196,7 @@ def _with_slopes(
     return value, np.stack([(of(explanation.at(x + h)) - of(explanation.at(x - h))) / (2.0 * STEP) for h in steps])
 
 
-def left_over(variance: float, share: float, slope: Array, spent: Array | None) -> float:
+def residual_variance(variance: float, share: float, slope: Array, spent: Array | None) -> float:
     """Variance of a statistic about its value under a model that was fitted to the same data.
 
     An efficient estimate's error is uncorrelated with what is left, so the statistic's own variance falls by what the parameters'
@@ -255,7 +255,7 @@ def axis_tests(state: AxisState, spent: Array | None = None) -> list[tuple[str, 
     lags = np.arange(1, min(20, n // 5) + 1)
     rho = np.array([float(np.mean(e[k:] * e[:-k])) for k in lags]) / float(np.mean(e * e))
     out.append(("whiteness", data.block_s, float(scipy.stats.chi2.sf(np.sum(rho**2 * (n - lags)), lags.size))))
-    out.append(("variance", data.block_s, chi_square_p(float(np.sum(e * e)), n, _volume_left(state, n, spent))))
+    out.append(("variance", data.block_s, chi_square_p(float(np.sum(e * e)), n, _residual_volume(state, n, spent))))
     out.append(("distribution", data.block_s, float(scipy.stats.kurtosistest(e).pvalue)))
     size = np.abs(e) - np.mean(np.abs(e))
     out.append(("volatility", data.block_s, correlation_p(size[1:], size[:-1])))
@@ -297,7 +297,7 @@ def axis_tests(state: AxisState, spent: Array | None = None) -> list[tuple[str, 
     return out
 
 
-def _volume_left(state: AxisState, n: int, spent: Array) -> float:
+def _residual_volume(state: AxisState, n: int, spent: Array) -> float:
     """Variance of the sum of ``n`` squared block innovations about ``n``, less what the fitted parameters follow of it.
 
     Its covariance with the score of a parameter is the derivative of the covariance's log determinant.
@@ -312,7 +312,7 @@ def _volume_left(state: AxisState, n: int, spent: Array) -> float:
         return float(kernels.toeplitz_whiten(state.explanation.at(at).covariance(data.block, data.dt, n), zero, white))
 
     slope = np.array([(volume(x + e) - volume(x - e)) / (2.0 * h) for e in np.eye(x.size) * h])
-    return left_over(2.0 * n, 1.0, slope, spent)
+    return residual_variance(2.0 * n, 1.0, slope, spent)
 
 
 def _spectrum_p(state: AxisState, groups: list[NDArray[np.intp]], z: Array, spent: Array) -> float:

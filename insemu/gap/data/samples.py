@@ -1,4 +1,4 @@
-"""What the samples of an IMU show by themselves: stamps with gaps, values that pile up at a full scale; and the record with both mended."""
+"""What the samples of an IMU show by themselves: stamps with gaps, values that pile up at a full scale; and the record with both repaired."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ _SENSORS = (("gyro", "rad/s"), ("accel", "m/s^2"))
 
 
 @dataclass(frozen=True)
-class Mended:
-    """An IMU record after what its samples show was named and mended.
+class Repaired:
+    """An IMU record after what its samples show was named and repaired.
 
     Parameters
     ----------
@@ -54,8 +54,8 @@ class Mended:
     noise: Mapping[str, Array] = field(default_factory=dict)
 
 
-def mend(imu: ImuRecord, without: tuple[str, ...] = (), filled: tuple[str, ...] = ()) -> Mended:
-    """Name lost samples and saturation and mend the record: gaps and clipped stretches filled in.
+def repair(imu: ImuRecord, without: tuple[str, ...] = (), filled: tuple[str, ...] = ()) -> Repaired:
+    """Name lost samples and saturation and repair the record: gaps and clipped stretches filled in.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def mend(imu: ImuRecord, without: tuple[str, ...] = (), filled: tuple[str, ...] 
     carried, loss = _carried(imu, clipping, stretches)
     noise = {"saturation": as_noise(clipping, duration), "dropped_samples": as_noise(stretches, duration)}
     heard = drawn(imu, lost, np.random.default_rng(len(imu)))
-    return Mended(imu, heard, tuple(sorted(findings, key=lambda s: -s.nats)), carried, loss, noise)
+    return Repaired(imu, heard, tuple(sorted(findings, key=lambda s: -s.nats)), carried, loss, noise)
 
 
 def _carried(imu: ImuRecord, clipping: list[Filled], lost: list[Filled]) -> tuple[tuple[Filled, ...], Array]:

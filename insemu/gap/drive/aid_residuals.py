@@ -23,7 +23,7 @@ from insemu.filters import (
     smoothed_at,
 )
 from insemu.gap.drive.preparation import Prepared
-from insemu.gap.evidence.aid_model import Beside
+from insemu.gap.evidence.aid_model import AidResiduals
 from insemu.records import AidRecord
 from insemu.strapdown import correct
 
@@ -185,7 +185,7 @@ class Measured:
         shape = (0, len(self.aid), int(self.used.sum()))
         return tuple(labels), np.stack(columns) if columns else np.zeros(shape)
 
-    def blocks(self, smoothed: Smoothed) -> Beside:
+    def blocks(self, smoothed: Smoothed) -> AidResiduals:
         """Means over blocks, what is left within them, and the covariance of the navigation behind the means."""
         aid, w = self.aid, int(self.used.sum())
         labels, columns = self.unit_columns()
@@ -222,7 +222,7 @@ class Measured:
         ratio = self.shaken[:, self.used] / std**2
         navigation = navigation + np.diag(mean(ratio).ravel())
         settled = {e: EFFECTS[e].settled_with(self.values) for e, _ in labels}
-        return Beside(
+        return AidResiduals(
             aid.kind, tuple(np.array(list(AIDS[aid.kind].rows))[self.used].tolist()), t, y_mean, G_mean, count,
             np.einsum("ni,ni->i", dy, dy), np.einsum("ni,cni->ic", dy, dG), np.einsum("cni,dni->icd", dG, dG),
             navigation, labels, np.asarray(np.exp(np.log(std).mean(axis=0))), settled,

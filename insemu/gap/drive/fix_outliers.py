@@ -1,4 +1,4 @@
-"""Outliers among the positions or the velocities of a recording, told by what all other fixes say of each.
+"""Outliers among the positions or the velocities of a recording, classified by what all other fixes say of each.
 
 A filter that follows an outlier takes the fixes behind it for outliers too, and one that only looks ahead cannot tell an outlier from the fixes
 before it. What those on both sides say of one is a smoother's, from one pass forward and one back.
@@ -58,12 +58,12 @@ LOOSE = 1e3
 #: Most that the variance of a fix is raised by, over its own, where a filter runs on it and where it is smoothed: beyond that the other fixes lose
 #: their digits (outliers of 10 and 1,000 km: tests/test_gap_fixes.py).
 MOST_LOOSE, MOST_WIDE = 1e12, 1e8
-#: Fixes around one that is told anew in which no other is: it says something of these. With 1 to 10 the outliers of ublox_mixed_nominal and
+#: Fixes around one that is classified anew in which no other is: it says something of these. With 1 to 10 the outliers of ublox_mixed_nominal and
 #: rtkexp_drive are the same, and those of thor75_uav_flight but for two; with none they went in turns.
 APART = 5
 #: Most times that all are looked at: 4 to 9 on real drives.
 MOST_ROUNDS = 40
-#: Most runs of the filter: where it flies without the outliers that it was led astray by, few others are told.
+#: Most runs of the filter: where it flies without the outliers that it was led astray by, few others are classified.
 MOST_RUNS = 4
 
 
@@ -95,8 +95,8 @@ def log_mixture(v: Array, S: Array, probability: float, sigma: Array) -> Array:
     return np.asarray(plain + np.logaddexp(0.0, log_odds(v, S, probability, sigma)))
 
 
-def log_told(v: Array, S: Array, probability: float, sigma: Array, out: NDArray[np.bool_]) -> Array:
-    """Log densities (k,) of positions or velocities of which it was told which are outliers, without the constant.
+def log_density_given(v: Array, S: Array, probability: float, sigma: Array, out: NDArray[np.bool_]) -> Array:
+    """Log densities (k,) of positions or velocities of which it was classified which are outliers, without the constant.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def under_colour(s: Surrogate, noise: FixNoise, nu: Array | None = None) -> Seen
             own = _rows(effect)
             most = MOST_WIDE * at.R[:, own] * noise.factor[own] ** 2
             more[:, own] = np.where(np.isin(at.t, t)[:, None], np.minimum(sigma**2, most), 0.0)
-        v, S = (at.ahead if ahead else at.beside)(whole[: at.t.size], noise, more)
+        v, S = (at.ahead if ahead else at.leave_one_out)(whole[: at.t.size], noise, more)
         out = {}
         for effect in gone:
             own = _rows(effect)
@@ -196,13 +196,13 @@ def _rows(effect: str) -> slice:
     return slice(FIRST[effect], FIRST[effect] + 3)
 
 
-def told(
+def classified(
     seen: Seen, known: Known, gone: Mapping[str, Array], until: float = math.inf, since: float = -math.inf
 ) -> dict[str, Array]:
     """By effect the times (k,) of the positions or velocities that are more likely outliers than not, given all others, s.
 
-    Each that is told anew makes all of them together more likely, so that it ends (iterated conditional modes, Besag 1986). From no outliers on,
-    those that stand out most are told first.
+    Each that is classified anew makes all of them more likely, so that it ends (iterated conditional modes, Besag 1986). From no outliers on,
+    those that stand out most are classified first.
 
     Parameters
     ----------
@@ -238,24 +238,24 @@ def told(
 
 
 def log_joint(seen: Seen, known: Known, gone: Mapping[str, Array], until: float = math.inf) -> float:
-    """Log density of all positions and velocities of which it was told which are outliers, without the constant.
+    """Log density of all positions and velocities of which it was classified which are outliers, without the constant.
 
     Parameters
     ----------
     seen, known, until
-        As :func:`told` takes them.
+        As :func:`classified` takes them.
     gone : mapping of effect to (k,) array
         Times of the outliers, s.
     """
     fixes = seen({effect: (gone[effect], sigma) for effect, (_, sigma) in known.items()}, until, ahead=True)
-    each = (log_told(v, S, *known[k], np.isin(t, gone[k])) for k, (t, v, S) in fixes.items() if t.size)
+    each = (log_density_given(v, S, *known[k], np.isin(t, gone[k])) for k, (t, v, S) in fixes.items() if t.size)
     return float(sum(np.sum(one) for one in each))
 
 
 def outlying(look: Look, known: Sequence[EffectUse]) -> dict[str, Array]:
     """By effect the times (k,) of the positions or velocities that are more likely outliers than not, s.
 
-    All are told together: a filter that follows outliers among the velocities takes positions for outliers.
+    All are classified together: a filter that follows outliers among the velocities takes positions for outliers.
 
     Parameters
     ----------
@@ -268,13 +268,13 @@ def outlying(look: Look, known: Sequence[EffectUse]) -> dict[str, Array]:
     gone = {effect: np.zeros(0) for effect in given}
     for _ in range(MOST_RUNS if known else 0):
         before, seen = gone, look({effect: (gone[effect], sigma) for effect, (_, sigma) in given.items()})
-        gone = told(seen, given, gone)
+        gone = classified(seen, given, gone)
         if all(np.array_equal(before[effect], gone[effect]) for effect in gone):
             break
     return gone
 
 
-def told_of(effects: Sequence[EffectUse], gnss: GnssRecord) -> list[EffectUse]:
+def known_outliers(effects: Sequence[EffectUse], gnss: GnssRecord) -> list[EffectUse]:
     """The known outliers that fixes can have: those of velocities where there are any."""
     return [use for use in effects if use.id in FIRST and (FIRST[use.id] == 0 or gnss.vel_std_ned is not None)]
 

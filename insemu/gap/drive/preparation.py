@@ -20,7 +20,7 @@ from insemu.filters import (
 )
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.data.log import Reduced, moving_spectra
-from insemu.gap.data.samples import Mended, louder, without_motion
+from insemu.gap.data.samples import Repaired, louder, without_motion
 from insemu.gap.drive.shaking import rectified, steadied, without_shaking
 from insemu.gap.drive.signatures import Loop, whitening
 from insemu.gap.evidence.fixes import LEVEL_GROUPS, level_scores
@@ -65,8 +65,8 @@ class Prepared:
         Initial state and its standard deviations.
     nominal : Nominal
         What is believed.
-    mended : Mended, optional
-        The IMU record as its samples were mended, where they were.
+    repaired : Repaired, optional
+        The IMU record as its samples were repaired, where they were.
     levels : (6,) array
         Levels of the fixes that were named, as ratios; the trimming stays within its tolerance of them.
     rectified : (n, 2) array, optional
@@ -97,7 +97,7 @@ class Prepared:
     factors: Array
     start: tuple[NavState, InitialSigma]
     nominal: Nominal
-    mended: Mended | None = None
+    repaired: Repaired | None = None
     levels: Array = field(default_factory=lambda: np.ones(6))
     rectified: Array | None = None
     unresolved: Array = field(default_factory=lambda: np.zeros(6))
@@ -141,7 +141,7 @@ class Prepared:
         gnss = with_sigma(gnss, self.nominal)
         return replace(
             self, start=(initial, sigma), rectified=None, steadied=False, raised=np.ones(6), recorded=None,
-            first=_stood_on(recording, imu, gnss), began=float(recording.imu.t[0]),
+            first=_first_fix_sigma(recording, imu, gnss), began=float(recording.imu.t[0]),
         ).again(imu=imu, gnss=gnss)  # fmt: skip
 
     def shifted(self, recording: Recording) -> Prepared:
@@ -159,7 +159,7 @@ class Prepared:
         start = NavState(earth.move(state.llh, moved), state.vel_ned + there[1] - before[1], state.rpy)
         return replace(
             self, start=(start, sigma), rectified=None, steadied=False, raised=np.ones(6), recorded=None,
-            first=_stood_on(recording, imu, new), began=float(recording.imu.t[0]),
+            first=_first_fix_sigma(recording, imu, new), began=float(recording.imu.t[0]),
         ).again(imu=imu, gnss=with_sigma(new, self.nominal))  # fmt: skip
 
     def on_arm(self, corrected: Prepared, arm: Array) -> Prepared:
@@ -203,7 +203,7 @@ class Prepared:
         """The filter seen from outside."""
         return replace(
             Surrogate.of(self.result),
-            settled=self.nominal.settled_levels,
+            settled=self.nominal.known_levels,
             first=(self.first * self.factors) ** 2,
         )
 
@@ -278,7 +278,7 @@ def prepare(
     nominal: Nominal,
     fast: dict[str, Reduced],
     levels: dict[str, float],
-    mended: Mended | None = None,
+    repaired: Repaired | None = None,
 ) -> Prepared:
     """Run the nominal filter, its white noise and GNSS levels trimmed by at most the tolerance of a nominal level.
 
@@ -288,8 +288,8 @@ def prepare(
         From :func:`fast_parts`.
     levels : mapping of axis to float
         White-noise densities that were named as an effect and are used as they are.
-    mended : Mended, optional
-        The IMU record as its samples were mended, where they were.
+    repaired : Repaired, optional
+        The IMU record as its samples were repaired, where they were.
 
     Raises
     ------
@@ -305,17 +305,17 @@ def prepare(
         )
     gnss = with_sigma(gnss, nominal)
     beliefs = {name: _trimmed(nominal.beliefs[name], fast[name], levels.get(name)) for name in AXES}
-    if mended is not None:  # what is wrong over a gap is seen in no spectrum
-        beliefs = {name: louder(beliefs[name], float(more)) for name, more in zip(AXES, mended.loss, strict=True)}
+    if repaired is not None:  # what is wrong over a gap is seen in no spectrum
+        beliefs = {name: louder(beliefs[name], float(more)) for name, more in zip(AXES, repaired.loss, strict=True)}
     start = (initial, sigma)
     lever, recorded = np.array(nominal.gnss.lever_arm), gnss
     gnss = _on_arm(imu, recorded, start, beliefs, lever, lever)
     result = _run(imu, gnss, start, beliefs, lever)
     left = rectified(imu, fast)
     prepared = Prepared(
-        imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal, mended,
+        imu, gnss, result, beliefs, fast, lever, np.ones(6), start, nominal, repaired,
         rectified=left, swings=left is not None and bool(np.any(lever)), steadied=_moved(recorded, gnss), raised=_raised(recorded, gnss),
-        first=_stood_on(recording, imu, recorded), began=float(recording.imu.t[0]), recorded=recorded,
+        first=_first_fix_sigma(recording, imu, recorded), began=float(recording.imu.t[0]), recorded=recorded,
     )  # fmt: skip
     return prepared.trimmed()
 
@@ -460,7 +460,7 @@ def _check_upright(imu: ImuRecord, reference: Trajectory, source: str) -> None:
         )
 
 
-def _stood_on(recording: Recording, imu: ImuRecord, gnss: GnssRecord) -> Array:
+def _first_fix_sigma(recording: Recording, imu: ImuRecord, gnss: GnssRecord) -> Array:
     """Standard deviations (6,) of the fix at which an IMU was cut to begin; zero of what did not come from it, or of a start on a reference."""
     out = np.zeros(6)
     # velocities may have stamps of their own, at which no filter starts

@@ -119,7 +119,7 @@ class Scene:
                 columns[:catalogue] = [slope if (c.effect, c.label) == own else c for c in columns[:catalogue]]
         if prepared.first.any():
             columns = [c if c.fixes is None else replace(c, start=c.fixes[0]) for c in columns]
-        columns += filled_columns(motion, prepared.mended.filled if prepared.mended else ())
+        columns += filled_columns(motion, prepared.repaired.filled if prepared.repaired else ())
         columns += rectified_columns(prepared.rectified)
         start, end = float(motion.t[0]), float(motion.t[-1])
         knots = slow_knots(start, end)
@@ -176,7 +176,7 @@ class Scene:
 
     @cached_property
     def arm_starts(self) -> Array:
-        """Times of changes of the lever arm that are tried first, s: of one that is there from the start no time is told."""
+        """Times of changes of the lever arm that are tried first, s: one that is there from the start has no time."""
         start, end = float(self.motion.t[0]), float(self.motion.t[-1])
         return np.asarray(start + (end - start) / ARM_STARTS * (np.arange(ARM_STARTS - 1) + 1.0))
 
@@ -400,8 +400,8 @@ class Scene:
         known, run = self.columns[: self.catalogue], run.again(imu=imu, gnss=gnss)
         return Scene.of(run, original, values, self.windows, known).coloured(self.noise)
 
-    def steadied_again(self, blocks: Sequence[Block], cut: float | None = None) -> Scene:
-        """The scene with velocities as the shaking leaves them beside what was found: on a lever arm that was, and without what stood for noise.
+    def corrected_again(self, blocks: Sequence[Block], cut: float | None = None) -> Scene:
+        """The scene with velocities as the shaking leaves them next to what was found: on a lever arm that was, and without what stood for noise.
 
         Parameters
         ----------
@@ -465,7 +465,7 @@ class Scene:
     def _nearer(self, away: Mapping[int, float], blocks: Sequence[Block], cut: float | None) -> Scene | None:
         """The scene with columns corrected by these further numbers, or by a part of them; ``None`` where that leads away from what they answer.
 
-        Beside other errors a linear answer can be wrong by more than itself, and each further one by more than the one before.
+        Next to other errors a linear answer can be wrong by more than itself, and each further one by more than the one before.
         """
         left, answer = self._left(blocks, cut), self._columns(np.array(list(away))) @ np.array(list(away.values()))
         for share in SHARES:
@@ -504,7 +504,7 @@ class Scene:
         return self._nearer(further, blocks, cut) or self
 
     def _likeliest(self, j: int, blocks: Sequence[Block], cut: float | None) -> float:
-        """The size of an effect at which its own shape leaves least of the innovations, beside everything else in blocks."""
+        """The size of an effect at which its own shape leaves least of the innovations, next to everything else in blocks."""
         column = self.columns[j]
         # other columns of the effect are it at another size
         same = {
@@ -569,9 +569,9 @@ class Scene:
 
     def unexplained(self, blocks: Sequence[Block], cut: float | None = None) -> Array:
         """Innovations (f, 6) in m and m/s less what blocks explain of them, judged by those up to a time; zero where missing."""
-        return self.less_explained(*self.explaining(blocks, cut))
+        return self.residual_innovations(*self.explaining(blocks, cut))
 
-    def less_explained(self, index: NDArray[np.int64], coefficients: Array) -> Array:
+    def residual_innovations(self, index: NDArray[np.int64], coefficients: Array) -> Array:
         """Innovations (f, 6) in m and m/s less some columns (k,) times their coefficients (k,); zero where missing."""
         explained: Array | float = 0.0
         if index.size and "_answers" in self.__dict__:

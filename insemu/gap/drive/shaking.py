@@ -90,18 +90,18 @@ def without_shaking(parts: Mapping[str, Reduced], beliefs: Mapping[str, NoiseMod
     heard = {name: data for name, data in parts.items() if data.f.size and name in beliefs}
     excess = {name: _Excess.of(data, beliefs[name]) for name, data in heard.items()}
     shakes = [name for name, e in excess.items() if e.nats > rules().shaking_nats]
-    together = _together({name: heard[name] for name in shakes}, excess)
+    together = _shared_excess({name: heard[name] for name in shakes}, excess)
     out = dict(parts)
     for name, data in heard.items():
         shared = max((together[name, o] for o in shakes if o != name), default=0.0) if name in shakes else 0.0
         if name in shakes and (len(shakes) >= rules().shaking_axes or shared > 0.0):
-            out[name] = replace(unheard(data), shaking=_told(data, excess[name], shared))
+            out[name] = replace(unheard(data), shaking=_reported(data, excess[name], shared))
         elif (edge := _tail(data, beliefs[name])) > 0:
             out[name] = _above(data, edge)
     return out
 
 
-def _together(loud: Mapping[str, Reduced], excess: Mapping[str, _Excess]) -> dict[tuple[str, str], float]:
+def _shared_excess(loud: Mapping[str, Reduced], excess: Mapping[str, _Excess]) -> dict[tuple[str, str], float]:
     """Share of the excess of two axes that goes together, zero where that may be chance: coherence, or loudness that rises and falls alike."""
     spectra, levels = {}, {}
     for name, data in loud.items():
@@ -124,7 +124,8 @@ def _together(loud: Mapping[str, Reduced], excess: Mapping[str, _Excess]) -> dic
             share = 0.0
             if count > 20 and spectra[a].shape[1] == spectra[b].shape[1]:
                 share = max(
-                    _coherence(spectra[a][:count], spectra[b][:count]), _alike(levels[a][:count], levels[b][:count])
+                    _coherence(spectra[a][:count], spectra[b][:count]),
+                    _loudness_correlation(levels[a][:count], levels[b][:count]),
                 )
             out[a, b] = out[b, a] = share
     return out
@@ -147,7 +148,7 @@ def _coherence(a: Array, b: Array) -> float:
     return float(np.sum(weight * squared) / np.sum(weight))
 
 
-def _alike(a: Array, b: Array) -> float:
+def _loudness_correlation(a: Array, b: Array) -> float:
     """Squared correlation of the loudness of two axes over time, less its slow part's luck; zero where it may be chance."""
     r = float(np.corrcoef(a, b)[0, 1])
     # loudness has a memory: as many independent values as its autocorrelation leaves
@@ -184,7 +185,7 @@ def _above(data: Reduced, edge: int) -> Reduced:
     return replace(data, values=values, f=f, power=power, dof=dof, quiet=None)
 
 
-def _told(data: Reduced, e: _Excess, shared: float) -> InBand:
+def _reported(data: Reduced, e: _Excess, shared: float) -> InBand:
     """An axis's motion above its noise, for the report."""
     width = np.gradient(data.f)
     power = np.maximum(data.power - e.noise, 0.0) * width * e.loud

@@ -35,7 +35,7 @@ NAMED = 100.0
 
 
 @dataclass(frozen=True)
-class Beside:
+class AidResiduals:
     """What an aid is off by, in blocks, with what a unit of every effect adds to it.
 
     Parameters
@@ -134,7 +134,7 @@ class AidModel:
 
     Parameters
     ----------
-    data : Beside
+    data : AidResiduals
     scales : (c,) array
         Datasheet scale of each unit effect.
     columns : tuple of int
@@ -142,18 +142,18 @@ class AidModel:
     noise : AidNoise
     """
 
-    data: Beside
+    data: AidResiduals
     scales: Array
     columns: tuple[int, ...]
     noise: AidNoise
 
     @classmethod
-    def nominal(cls, data: Beside, scales: Array, lasting: Mapping[int, tuple[float, float]]) -> AidModel:
+    def nominal(cls, data: AidResiduals, scales: Array, lasting: Mapping[int, tuple[float, float]]) -> AidModel:
         """Nothing beyond what is stated and known to last, its levels at their best within the tolerance.
 
         Parameters
         ----------
-        data : Beside
+        data : AidResiduals
         scales : (c,) array
         lasting : mapping of int to (sigma, tau)
             See :class:`AidNoise`.

@@ -101,7 +101,7 @@ class _Climb:
         return Mode(self.x + last, covariance, top, top + 0.5 * self.x.size * math.log(2.0 * math.pi) - 0.5 * logdet)
 
 
-def laplace_together(
+def laplace_many(
     log_likelihoods: Likelihoods,
     starts: Sequence[Array],
     free: Sequence[Sequence[Free]],
@@ -157,11 +157,11 @@ class Ridge:
     weight : (p,) array
         Probability of each.
     spread : (k,) array
-        Standard deviations of the others beside it; 0 of the parameter itself.
+        Standard deviations of the others next to it; 0 of the parameter itself.
 
     References
     ----------
-    Rue et al. 2009, section 3.2: the posterior of one parameter by Laplace's approximation of the others beside it.
+    Rue et al. 2009, section 3.2: the posterior of one parameter by Laplace's approximation of the others next to it.
     """
 
     at: Array
@@ -175,7 +175,7 @@ class Ridge:
         Parameters
         ----------
         log_likelihoods : callable
-            As :func:`laplace_together` takes it, of problem 0.
+            As :func:`laplace_many` takes it, of problem 0.
         mode : Mode
         free : sequence of Free
             Its parameters.
@@ -190,7 +190,7 @@ class Ridge:
         for side in (-1.0, 1.0):
             x, last = mode.x + side * slope, mode.x
             for _ in range(MOST_ALONG):
-                found = _beside(log_likelihoods, x, free, rest, H, beside)
+                found = _best_given(log_likelihoods, x, free, rest, H, beside)
                 if found is None:
                     break
                 points.append(found[0])
@@ -201,10 +201,10 @@ class Ridge:
                 x[k] = last[k] + side * sd
         order = np.argsort([p[k] for p in points])
         knots, fine = np.array(points)[order], np.linspace(min(p[k] for p in points), max(p[k] for p in points), FINE)
-        log_weight = _between(knots[:, k], np.array(values)[order], fine)
+        log_weight = _interpolated(knots[:, k], np.array(values)[order], fine)
         weight, spread = np.exp(log_weight - log_weight.max()), np.zeros(mode.x.size)
         spread[rest] = np.sqrt(np.diag(beside))
-        return cls(_between(knots[:, k], knots, fine), weight / weight.sum(), spread)
+        return cls(_interpolated(knots[:, k], knots, fine), weight / weight.sum(), spread)
 
     def interval(self, k: int) -> tuple[float, float]:
         """95 % interval of a parameter, in logarithms."""
@@ -216,14 +216,14 @@ class Ridge:
         return float(low), float(high)
 
 
-def _between(x: Array, y: Array, at: Array) -> Array:
+def _interpolated(x: Array, y: Array, at: Array) -> Array:
     """Values (m, ...) between points (p,) of a smooth curve (p, ...)."""
     if x.size < 2:
         return np.repeat(y, at.size, axis=0)
     return np.asarray(scipy.interpolate.PchipInterpolator(x, y)(at), dtype=np.float64)
 
 
-def _beside(
+def _best_given(
     log_likelihoods: Likelihoods, x: Array, free: Sequence[Free], rest: NDArray[np.bool_], H: Array, beside: Array
 ) -> tuple[Array, float] | None:
     """The best point near x when the parameters that are not in ``rest`` stay, and its log posterior; ``None`` where there is none.

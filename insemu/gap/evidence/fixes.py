@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.evidence.climb import Ridge, laplace_together
+from insemu.gap.evidence.climb import Ridge, laplace_many
 from insemu.gap.evidence.linear import log_mean_exp
 from insemu.gap.evidence.modes import Free, Mode, level
 from insemu.gap.evidence.surrogate import PLAIN, Colour, FixNoise, Surrogate
@@ -24,7 +24,7 @@ LEVEL_GROUPS = ((0, 1), (2,), (3, 4), (5,))
 LEVEL_ROWS = {"gnss_noise_level": 0, "gnss_velocity_noise": 3}
 #: Axes that may have a level or a colour of their own.
 GROUPS = (NED, ("north", "east"), ("down",), ("north",), ("east",))
-#: Share of its tolerance beyond which a level beside a colour is at the edge, and one of any size is tried.
+#: Share of its tolerance beyond which a level next to a colour is at the edge, and one of any size is tried.
 AT_EDGE = 0.9
 #: Gain of a step at which a climb of the noise of the fixes ends, nats: a hundredth of the 3 nats that decide; each step costs filter runs.
 CLOSE_NATS = 0.03
@@ -129,7 +129,7 @@ def gnss_noise_fits(
         if p.is_level or values[top] - base > LEAST_NATS:
             going.append(p)
             starts.append(p.starts[top])
-    modes = laplace_together(
+    modes = laplace_many(
         lambda points: s.log_likelihoods([going[k].noise(x) for k, x in points]),
         starts,
         [p.free for p in going],
@@ -186,8 +186,8 @@ def colour_values(colour: Colour, axes: Sequence[str], sd: Mapping[str, float]) 
     sd : mapping of str to float
         Standard deviations of the logarithms of ``sigma_north`` ... and ``tau``.
     """
-    told = {**{f"sigma_{a}": (float(colour.sigma[NED.index(a)]), "m") for a in axes}, "tau": (colour.tau, "s")}
-    values = tuple(Value.positive(name, value, sd[name], unit) for name, (value, unit) in told.items())
+    given = {**{f"sigma_{a}": (float(colour.sigma[NED.index(a)]), "m") for a in axes}, "tau": (colour.tau, "s")}
+    values = tuple(Value.positive(name, value, sd[name], unit) for name, (value, unit) in given.items())
     return (*values, Value("follows", 1.0, 1.0, 1.0, "1")) if colour.follows else values
 
 
@@ -335,7 +335,7 @@ def joint_noise(s: Surrogate, begin: FixNoise, factors: Array, *, wide: Sequence
 
     start = np.zeros(len(free))
     start[count:] = [float(np.mean(np.log(begin.factor[rows]))) for rows in groups]
-    (mode,) = laplace_together(likelihoods, [start], [free], CLOSE_NATS)
+    (mode,) = laplace_many(likelihoods, [start], [free], CLOSE_NATS)
     place = {f"sigma_{NED[r]}": k for k, rows in enumerate(parts) for r in rows if r < 3}
     if not known:
         place["tau"] = len(parts)
@@ -356,10 +356,10 @@ def _times(s: Surrogate, tau: float = 1.0) -> Free:
     return Free("tau", 2.0 * float(np.median(np.diff(s.t))) / tau, 0.5 * float(s.t[-1] - s.t[0]) / tau)
 
 
-def level_beside(
+def levels_with_colour(
     s: Surrogate, noise: FixNoise, factors: Array, named: NDArray[np.bool_] | None = None
 ) -> list[NoiseFit]:
-    """Other levels of the positions than the nominal ones beside a colour of the fixes, which is estimated again with them.
+    """Other levels of the positions than the nominal ones next to a colour of the fixes, which is estimated again with them.
 
     Parameters
     ----------

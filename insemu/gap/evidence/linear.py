@@ -258,7 +258,7 @@ def regression_evidence(A: Array, b: Array, scales: Array) -> float:
 
 
 def stationary_score(gamma: Array, rows: Array, scales: Array) -> tuple[float, Array, Array] | None:
-    """Log-likelihood of a stationary Gaussian vector beside a linear effect, with its derivatives by the autocovariance.
+    """Log-likelihood of a stationary Gaussian vector next to a linear effect, with its derivatives by the autocovariance.
 
     With ``X = C^-1 [y G]``, m and M posterior mean and covariance of the coefficients at one prior scale, the derivative along dC is
     ``1/2 (x_y - X_G m)' dC (x_y - X_G m) + 1/2 tr(M X_G' dC X_G) - 1/2 tr(C^-1 dC)``; prior scales count by their evidence.
@@ -302,7 +302,7 @@ def stationary_score(gamma: Array, rows: Array, scales: Array) -> tuple[float, A
     products = np.empty(gamma.size)
     kernels.lagged_products(np.ascontiguousarray(mixed), products)
     by_lag = products - by_lag
-    by_lag[0] *= 0.5  # a lag counts once on the diagonal and twice beside it
+    by_lag[0] *= 0.5  # a lag counts once on the diagonal and twice next to it
     return value, by_lag, products
 
 

@@ -35,7 +35,7 @@ def merged_states(Phi: Array, H: Array) -> Array:
     groups: list[list[int]] = [[i] for i in range(min(NAVIGATION, n))]
     seen = np.any(H.reshape(-1, n) != 0.0, axis=0)
     for i in range(len(groups), n):
-        mine = [g for g in groups[NAVIGATION:] if _alike(Phi, g[0], i)] if not seen[i] else []
+        mine = [g for g in groups[NAVIGATION:] if _same_state(Phi, g[0], i)] if not seen[i] else []
         if mine:
             mine[0].append(i)
         else:
@@ -47,7 +47,7 @@ def merged_states(Phi: Array, H: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _alike(Phi: Array, i: int, j: int) -> bool:  # pragma: no cover - compiled
+def _same_state(Phi: Array, i: int, j: int) -> bool:  # pragma: no cover - compiled
     """Whether two states are taken everywhere alike by every transition, each fed by itself only."""
     for k in range(Phi.shape[0]):
         for q in range(Phi.shape[1]):

@@ -207,7 +207,7 @@ def ascend(
         promised = steps.promised(x, here.gradient, curve)
         if here.curvature is not None and promised < NEAR_NATS:
             observed = here.curvature + floor + np.diag(steps.powers * here.gradient)
-            if _alike(observed, curve):
+            if _is_positive(observed, curve):
                 curve, promised = observed, steps.promised(x, here.gradient, observed)
         if promised < PROMISED_NATS:
             break
@@ -241,7 +241,7 @@ NEAR_NATS, LEAST_SHARE = 100.0, 0.02
 SIDES = 4
 
 
-def _alike(observed: Array, expected: Array) -> bool:
+def _is_positive(observed: Array, expected: Array) -> bool:
     """Whether an observed curvature is positive in every direction, as the expected one is."""
     try:
         np.linalg.cholesky(observed - LEAST_SHARE * expected)
@@ -299,7 +299,7 @@ class Steps:
             s[go] = np.linalg.solve(bend[np.ix_(go, go)], gradient[go])
         return s
 
-    def _taken(self, x: Array, s: Array) -> tuple[Array, Array]:
+    def _limited(self, x: Array, s: Array) -> tuple[Array, Array]:
         """Where a change in proportion ends, no longer than the longest and inside the limits, and what is left of it."""
         up, down = self._longest
         s = s * min(1.0, float(np.min(np.where(s > 0.0, up, down) / np.maximum(np.abs(s), 1e-300), initial=1.0)))
@@ -342,7 +342,7 @@ class Steps:
             if np.array_equal(ends, side):
                 break
             side = ends
-        end, s = self._taken(x, s)
+        end, s = self._limited(x, s)
         outside = [self.stiff * np.maximum(np.maximum(self.low - at, at - self.high), 0.0) ** 2 for at in (end, x)]
         gain = float(slope @ s) - 0.5 * (float(s @ curve @ s) + float(np.sum(outside[0] - outside[1])))
         return end, gain

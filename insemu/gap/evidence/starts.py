@@ -52,7 +52,7 @@ class Starts:
         """Log Bayes factor of a start that is as likely at any time."""
         return float(np.logaddexp.reduce(self.logs + np.log(self.cells / self.cells.sum())))
 
-    def beside(self, times: Array, cells: Array, logs: Array) -> Starts:
+    def with_more(self, times: Array, cells: Array, logs: Array) -> Starts:
         """The same with more starts, in the place of those in their cells.
 
         Parameters
@@ -67,7 +67,7 @@ class Starts:
             np.concatenate([self.logs[kept], logs]),
         )
 
-    def closer(self, logs_of: Callable[[Array], Array], cells: int = CLOSE_CELLS) -> Starts:
+    def refined(self, logs_of: Callable[[Array], Array], cells: int = CLOSE_CELLS) -> Starts:
         """The same with more starts in the cells about the best one; of starts as :meth:`even` makes them.
 
         Parameters
@@ -87,7 +87,7 @@ class Starts:
             np.concatenate([logs_of(times), self.logs[~near]]),
         )
 
-    def told(self) -> Value:
+    def estimate(self) -> Value:
         """The best start with its 95 % interval, s."""
         order = np.argsort(self.times)
         share = (np.exp(self.logs - self.logs.max()) * self.cells)[order]

@@ -59,7 +59,7 @@ class FixNoise:
         known = sigma > 0.0
         return np.where(known, np.hypot(self.factor, self.colour.sigma / np.where(known, sigma, 1.0)), 1.0)
 
-    def apart(self, sigma: Array) -> tuple[Array, FixNoise]:
+    def split(self, sigma: Array) -> tuple[Array, FixNoise]:
         """Ratios (6,) of standard deviations for a filter that does not follow the colour, and what this noise is to that filter.
 
         Parameters
@@ -260,7 +260,7 @@ class Surrogate:
         S -= more[:, :, None] * np.eye(6)
         return out, S
 
-    def beside(self, nu: Array, noise: FixNoise, more: Array) -> tuple[Array, Array]:
+    def leave_one_out(self, nu: Array, noise: FixNoise, more: Array) -> tuple[Array, Array]:
         """Positions and velocities less what all other components of all fixes say of them under a noise of the fixes, and their covariances.
 
         Parameters
@@ -283,7 +283,7 @@ class Surrogate:
             raise np.linalg.LinAlgError("a fix has no positive variance")
         white = self.whitened(nu[:, :, None], gains)[:, :, 0]
         u, D, S = np.zeros(nu.shape), np.zeros((len(nu), 6, 6)), np.zeros((len(nu), 6, 6))
-        surrogate_kernels.surrogate_beside(
+        surrogate_kernels.surrogate_left_out(
             self.Phi, self.H, self.use, gains.phi, gains.variance, gains.gain, gains.root, white, u, D
         )
         there = self.use == 1

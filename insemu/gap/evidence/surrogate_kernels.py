@@ -251,7 +251,7 @@ def surrogate_whitened(
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def surrogate_beside(
+def surrogate_left_out(
     Phi: Array,
     H: Array,
     use: NDArray[np.int64],
@@ -299,13 +299,13 @@ def surrogate_beside(
                 a[at[c]] = entry[c]
             for p in range(m):
                 K[p] = gain[k, i, p] / root[k, i]
-            told, own = white[k, i] / root[k, i], 1.0 / root[k, i] ** 2
+            e, own = white[k, i] / root[k, i], 1.0 / root[k, i] ** 2
             NK[:] = 0.0
             for p in range(m):
-                told -= K[p] * r[p]
+                e -= K[p] * r[p]
                 for q in range(m):
                     NK[q] += N[p, q] * K[p]
-            u[k, i], D[k, i, i] = told, own
+            u[k, i], D[k, i, i] = e, own
             for p in range(m):
                 D[k, i, i] += K[p] * NK[p]
             for j in range(i + 1, 6):
@@ -319,7 +319,7 @@ def surrogate_beside(
             for p in range(m):
                 later[i, p] = a[p] * D[k, i, i] - NK[p]
                 NK[p] -= 0.5 * D[k, i, i] * a[p]
-                r[p] += a[p] * told
+                r[p] += a[p] * e
             for c in range(seen):
                 p = at[c]
                 for q in range(m):

@@ -35,7 +35,7 @@ MOST_FITTED = 4
 
 
 @dataclass(frozen=True)
-class Looked:
+class AidReport:
     """What was found of the aids of a recording, how each stands against the run before and after, and the gain on its last part, nats per block."""
 
     findings: tuple[Finding, ...] = ()
@@ -65,7 +65,7 @@ class _Step:
     confidence: float
 
     def worth(self, nats: float) -> _Step:
-        """The same, worth something else beside everything that was named later; what it was compared with stays as it was then."""
+        """The same, worth something else next to everything that was named later; what it was compared with stays as it was then."""
         return replace(self, chosen=replace(self.chosen, nats=nats))
 
 
@@ -108,7 +108,7 @@ class _State:
         return min(max(size, -most), most), math.sqrt(covariance[k, k])
 
 
-def is_looked_at(kind: str) -> bool:
+def is_judged(kind: str) -> bool:
     """Whether an aid of this kind is held against the fixes: it can be predicted, and there are effects that it may have."""
     return kind in AIDS and AIDS[kind].truth is not None and kind in AID_KINDS
 
@@ -133,25 +133,25 @@ def check_aids(prepared: Prepared, aids: Sequence[AidRecord], source: str) -> No
     smoothed = Smoothed.of(prepared) if aids else None
     for aid in aids:
         assert smoothed is not None
-        _, measured = _held_against(smoothed, aid)
+        _, measured = _compared(smoothed, aid)
         if measured is not None:
             check_unit(measured, source)
 
 
-def _held_against(smoothed: Smoothed, aid: AidRecord) -> tuple[Shown | None, Measured | None]:
+def _compared(smoothed: Smoothed, aid: AidRecord) -> tuple[Shown | None, Measured | None]:
     """What a smoothed run shows an aid, and the aid against it; None where it says nothing."""
-    shown = smoothed.shown_to(aid) if is_looked_at(aid.kind) else None
+    shown = smoothed.shown_to(aid) if is_judged(aid.kind) else None
     return shown, None if shown is None else Measured.of(aid, shown)
 
 
-def aids_looked_at(
+def find_aid_effects(
     prepared: Prepared,
     aids: Sequence[AidRecord],
     without: Collection[str],
     say: Callable[[str], None],
     *,
     hold_out: bool = False,
-) -> Looked:
+) -> AidReport:
     """Find and name what aids are off by.
 
     Parameters
@@ -175,7 +175,7 @@ def aids_looked_at(
     held: dict[str, Interval] = {}
     for aid in aids:
         assert smoothed is not None
-        shown, measured = _held_against(smoothed, aid)
+        shown, measured = _compared(smoothed, aid)
         if shown is None or measured is None:
             continue
         say(f"the {aid.kind} against IMU and fixes")
@@ -191,16 +191,16 @@ def aids_looked_at(
             say(f"the last part of the {aid.kind}")
             gain = _held_out(start, without, known)
             held |= {} if gain is None else {aid.kind: gain}
-        findings += _told(state)
+        findings += _reported(state)
         struck[aid.kind] = state.struck
     findings = worth_of_aids(prepared, aids, findings, struck)
-    return Looked(tuple(sorted(findings, key=lambda s: -s.nats)), tuple(where), tuple(after), held)
+    return AidReport(tuple(sorted(findings, key=lambda s: -s.nats)), tuple(where), tuple(after), held)
 
 
 def _held_out(whole: _State, without: Collection[str], known: Sequence[EffectUse]) -> Interval | None:
     """Gain of the log score per block on the last part of an aid by what its first part names, with the numbers of that part; None of a short one.
 
-    Outliers were told on all of it and are left out of both.
+    Outliers were found on all of it and are left out of both.
     """
     t = whole.known.t
     cut = float(t[0] + rules().naming_share * (t[-1] - t[0]))
@@ -256,13 +256,13 @@ def _outliers_out(state: _State, without: Collection[str], known: Sequence[Effec
     kept = state.measured.rows_kept(~found.gone)
     struck = state.measured.aid.t[found.gone]
     # where it is known that there are some, they are no finding
-    told = None if any((u.id, u.sensor) == ("aid_outliers", state.known.kind) for u in known) else found
+    gone = None if any((u.id, u.sensor) == ("aid_outliers", state.known.kind) for u in known) else found
     model = nominal_model(kept, state.smoothed, known)
-    return replace(state, known=state.known.without(struck), measured=kept, model=model, gone=told, struck=struck)
+    return replace(state, known=state.known.without(struck), measured=kept, model=model, gone=gone, struck=struck)
 
 
 def _only_late(whole: _State, found: _State) -> bool:
-    """Whether nothing of the whole aid is far off beside what turns or shifts it, and something was: what comes late is far off in manoeuvres."""
+    """Whether nothing of the whole aid is far off next to what turns or shifts it, and something was: what comes late is far off in manoeuvres."""
     beside = whole.at(found.taken) if found.struck.size else None
     return beside is not None and far_off(beside.measured) is None
 
@@ -287,7 +287,7 @@ def _searched(state: _State, without: Collection[str]) -> _State:
 
 
 def _kept(state: _State) -> _State:
-    """The aid with what is worth something beside everything else that was named, each at that worth; the least goes first."""
+    """The aid with what is worth something next to everything else that was named, each at that worth; the least goes first."""
     while len(state.steps) > 1 or state.taken:
         worth = [_without(state, s.chosen) for s in state.steps]
         least = int(np.argmin([nats for nats, _ in worth]))
@@ -298,7 +298,7 @@ def _kept(state: _State) -> _State:
 
 
 def _without(state: _State, c: _Candidate) -> tuple[float, _State]:
-    """What something that was named is worth beside the rest, and the aid without it."""
+    """What something that was named is worth next to the rest, and the aid without it."""
     model, noise = state.model, state.model.noise
     if c.columns:
         less = replace(model, columns=tuple(k for k in model.columns if k not in c.columns)).fitted()
@@ -406,7 +406,7 @@ def _axes(model: AidModel, c: _Candidate) -> tuple[str, ...]:
 # -- answers --------------------------------------------------------------------------------------------------------------------------------
 
 
-def _told(state: _State) -> list[Finding]:
+def _reported(state: _State) -> list[Finding]:
     """Findings of an aid with the numbers of everything together."""
     model, d = state.model, state.model.data
     spread = model.spread(inside=True) if any(s.chosen.rows for s in state.steps) else np.zeros((0, 0))

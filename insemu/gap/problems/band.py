@@ -15,14 +15,14 @@ from insemu.gap.candidates.outliers import evident_outliers
 from insemu.gap.candidates.shapes import PROCESSES, Change
 from insemu.gap.candidates.tones import wandering, without_tones
 from insemu.gap.data.log import Reduced, unheard
-from insemu.gap.data.samples import Mended, advanced
+from insemu.gap.data.samples import Repaired, advanced
 from insemu.gap.drive.preparation import Prepared, fixes_score, prepare
 from insemu.gap.evidence.model import Component, Explanation
 from insemu.gap.evidence.modes import Free
 from insemu.gap.hypothesis import Found, Hypothesis
 from insemu.gap.policy import rules
 from insemu.gap.problems.findings import AxisResult, with_process
-from insemu.gap.problems.known_effects import of_axis, settled, starting_explanation, without_drawn
+from insemu.gap.problems.known_effects import known_on_axis, of_axis, starting_explanation, without_drawn
 from insemu.gap.problems.rest import search_axis
 from insemu.gap.verdict import Finding, InBand, Value
 from insemu.noise import WN, NoiseModel
@@ -90,7 +90,7 @@ def fast_effects(
             # first of all: they raise the whole spectrum, and differently from piece to piece
             progress(f"{name}: outliers {evident.nats:.1f} nats")
             data, left_out = evident.change.data, (*left_out, "outliers")
-        named = tuple(n for n in settled(given) if n == "quantization")
+        named = tuple(n for n in known_on_axis(given) if n == "quantization")
         quiet = without_tones(data, state_of(data, explanation).explanation)
         state = without_drawn(state_of(quiet, explanation, named=named), given)
         result = search_axis(state, threshold=threshold, without=left_out, progress=progress, outsiders=False)
@@ -160,7 +160,7 @@ def without_delay(
     parts: dict[str, Reduced],
     levels: dict[str, float],
     fast: Mapping[str, AxisResult],
-    mended: Mended,
+    repaired: Repaired,
     prepared: Prepared | None = None,
 ) -> tuple[Prepared, Recording, dict[str, float]]:
     """The nominal filter on sensors set forward by the delay of the low-pass that the fast band shows, and that delay, s per sensor.
@@ -180,8 +180,8 @@ def without_delay(
         White-noise densities that were named as an effect, unit/sqrt(Hz).
     fast : mapping of axis to AxisResult
         What the fast band shows.
-    mended : Mended
-        The IMU record as its samples were mended.
+    repaired : Repaired
+        The IMU record as its samples were repaired.
     prepared : Prepared, optional
         The nominal filter on the recording as it is.
 
@@ -190,7 +190,7 @@ def without_delay(
     InputError
         The nominal filter cannot run on the recording; see :func:`insemu.gap.drive.preparation.prepare`.
     """
-    best = prepared or prepare(recording, nominal, parts, levels, mended)
+    best = prepared or prepare(recording, nominal, parts, levels, repaired)
     late: dict[str, float] = {}
     for sensor in ("gyro", "accel"):
         roll = [fast[f"{sensor}_{a}"].end.explanation.rolloff for a in "xyz" if f"{sensor}_{a}" in fast]
@@ -199,7 +199,7 @@ def without_delay(
             continue
         delay = float(np.median(delays))
         moved = replace(recording, imu=advanced(recording.imu, sensor, delay))
-        tried = prepare(moved, nominal, parts, levels, mended)
+        tried = prepare(moved, nominal, parts, levels, repaired)
         if fixes_score(tried.result.fixes) > fixes_score(best.result.fixes):
             best, recording, late[sensor] = tried, moved, delay
     return best, recording, late
@@ -262,7 +262,7 @@ def again_with_processes(
 
 
 def white_level(result: AxisResult) -> float | None:
-    """White noise of an axis beside what its fast band was found to hold; None where the nominal model describes the band, or nothing does.
+    """White noise of an axis next to what its fast band was found to hold; None where the nominal model describes the band, or nothing does.
 
     A low-pass takes from the band and a vibration adds to it, and neither says anything of the noise at the rate of the motion.
     """

@@ -1,4 +1,4 @@
-"""A drive or flight as a problem: effects named on the whitened innovations of the nominal filter, beside what the band above the motion shows."""
+"""A drive or flight as a problem: effects named on the whitened innovations of the nominal filter, next to what the band above the motion shows."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from insemu.errors import InputError
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.candidates.fixes import about, as_joint, covariance_hypotheses
 from insemu.gap.candidates.jumps import JUMPS
-from insemu.gap.candidates.robust import beyond_doubt, held, is_lasting, too_much
+from insemu.gap.candidates.robust import beyond_doubt, doubted_last, is_lasting, too_much
 from insemu.gap.candidates.shapes import (
     EQUATIONS,
     ONCE,
@@ -27,10 +27,10 @@ from insemu.gap.candidates.shapes import (
     Variant,
     bank,
     best_pair,
+    compatible,
     linear_hypotheses,
     linear_nats,
     null_threshold,
-    standing_beside,
 )
 from insemu.gap.candidates.steps import placed
 from insemu.gap.candidates.unexplained import Unexplained
@@ -51,6 +51,7 @@ from insemu.gap.problems.band import (
     vibrates,
     with_delay,
 )
+from insemu.gap.problems.final_fixes import STEPS, FinalFixes
 from insemu.gap.problems.findings import (
     AxisResult,
     is_doubtful,
@@ -61,11 +62,10 @@ from insemu.gap.problems.findings import (
     split_axis,
     with_effect,
 )
-from insemu.gap.problems.joint_estimate import opened
+from insemu.gap.problems.joint_estimate import scene_under_colour
 from insemu.gap.problems.known_effects import which
-from insemu.gap.problems.repaired_drive import MendedDrive
-from insemu.gap.problems.search_result import Named, believing, blocks_of, held_out, told, with_confusable
-from insemu.gap.problems.settled import STEPS, SettledFixes
+from insemu.gap.problems.repaired_drive import RepairedDrive
+from insemu.gap.problems.search_result import Named, believing, blocks_of, held_out, reported, with_confusable
 from insemu.gap.problems.unresolved_shaking import with_unresolved
 from insemu.gap.search import Again, reconsider, search
 from insemu.gap.verdict import Finding, GapReport, Interval, Where, judged
@@ -79,7 +79,7 @@ Array = NDArray[np.float64]
 TIMED = {e.id for e in EFFECTS.values() if e.family == "timing"} | {"gnss_velocity_lag", "gnss_velocity_filter"}
 
 
-class DriveProblem(SettledFixes):
+class DriveProblem(FinalFixes):
     """The innovations of one recording, whole or up to a time.
 
     Parameters
@@ -128,21 +128,21 @@ class DriveProblem(SettledFixes):
         out = set(self.without) | once | (known & {*FIRST, "lever_arm_step"})
         return out | {"gnss_position_filter"} if timed else out
 
-    def _beside(self, without: Found[Change] | None = None) -> list[Variant]:
+    def _compatible(self, without: Found[Change] | None = None) -> list[Variant]:
         """What may stand beside the findings, all or all but one."""
-        return standing_beside(self.variants, [f.chosen for f in self.found if f is not without])
+        return compatible(self.variants, [f.chosen for f in self.found if f is not without])
 
     def rank(self) -> list[DriveHypothesis]:
-        """Every effect that the innovations can show beside what was found."""
+        """Every effect that the innovations can show next to what was found."""
         self._turn_colour()
-        given, skip, beside = self.blocks(), self._skip(), self._unexplained()
-        out = linear_hypotheses(self.scene, self._beside(), self.data, given, skip)
+        given, skip, unexplained = self.blocks(), self._skip(), self._unexplained()
+        out = linear_hypotheses(self.scene, self._compatible(), self.data, given, skip)
         for effect, look in STEPS.items():
             if effect not in skip:
                 least = -math.inf if effect in ("bias_step", "expression_step") else self._step_nats()
-                out += [h for h in look(beside) if h.nats > least]
+                out += [h for h in look(unexplained) if h.nats > least]
         out += covariance_hypotheses(self.scene, given, skip, self.cut, self._levelled())
-        out = held(beside, out, self.threshold)
+        out = doubted_last(unexplained, out, self.threshold)
         shaken = with_unresolved(self.scene, given, self.cut, out[0].nats) if out[0].nats > self.threshold else None
         if shaken is None:
             return out
@@ -158,7 +158,7 @@ class DriveProblem(SettledFixes):
         return np.asarray(np.any([np.zeros(6, dtype=bool), *each], axis=0))
 
     def _step_nats(self) -> float:
-        """What a step in the fixes, or of the antenna, must be worth to be weighed: beside one in the fixes it must be plain."""
+        """What a step in the fixes, or of the antenna, must be worth to be weighed: next to one in the fixes it must be plain."""
         known = {u.id for u in self.scene.original.nominal.effects} | {f.chosen.effect for f in self.found}
         return rules().further_step if "gnss_multipath_step" in known else -math.inf
 
@@ -169,33 +169,33 @@ class DriveProblem(SettledFixes):
         unsure = probabilities([h.nats for h in ranked])[-1] > 1.0 - rules().something
         if pair is None and (best.nats < self.threshold or unsure):
             return None
-        return Found(pair or self._apart(best), tuple(ranked))
+        return Found(pair or self._simpler(best), tuple(ranked))
 
     def split(self) -> bool:
         """Put the first of two or three simpler effects in the place of a finding where they now explain more than it does; whether that was so."""
         for old in self.found:
-            first = self._apart(old.chosen, old)
+            first = self._simpler(old.chosen, old)
             if first is not old.chosen:
                 self.found = [Found(first, old.ranked) if f is old else f for f in self.found]
                 return True
         return False
 
-    def _apart(self, best: DriveHypothesis, beside: Found[Change] | None = None) -> DriveHypothesis:
+    def _simpler(self, best: DriveHypothesis, excluded: Found[Change] | None = None) -> DriveHypothesis:
         """The first of two or three simpler effects, where they explain more than the best single one does.
 
         Of an effect of several axes those of one axis; of a slow process, which follows anything slow, those of known shape.
-        ``beside`` is the finding that it is, where it was found already.
+        ``excluded`` is the finding that it is, where it was found already.
         """
         if best.change.block is None or best.change.window is not None:
             return best
         single = [v for v in self.variants if len(v.axes) < 2]
         if len(best.axes) > 1:
-            first, total, count = self._greedy(single, beside)
+            first, total, count = self._greedy(single, excluded)
             # as many numbers must say more; with fewer it is enough to say as much
             if first is not None and total > best.nats + (1.0 if count >= len(best.axes) else -rules().keep_nats):
-                return self._apart(first, beside)
+                return self._simpler(first, excluded)
         if best.effect in PROCESSES:
-            first, total, count = self._greedy([v for v in single if not v.process], beside)
+            first, total, count = self._greedy([v for v in single if not v.process], excluded)
             # each further one must be worth what any effect must
             if first is not None and total - (count - 1) * self.threshold > best.nats + rules().lead:
                 return first
@@ -215,21 +215,21 @@ class DriveProblem(SettledFixes):
         together -= math.log(0.5 * len(ones) ** 2)
         if together < max(best.nats, self.threshold) + lead:
             return None
-        beside = [*given, *((linear,) if linear is not None and strong else ())]
-        follows = linear_nats(self.scene, self.variants, self.data, beside, skip)
+        explained = [*given, *((linear,) if linear is not None and strong else ())]
+        follows = linear_nats(self.scene, self.variants, self.data, explained, skip)
         if together < max(best.nats, 0.0) + follows + lead:
             return None
         own = [v for v in ones if v.index[0] == first[0][0]]
         return next(iter(linear_hypotheses(self.scene, own, self.data, [*given, second], skip)), None)
 
     def _greedy(
-        self, variants: Sequence[Variant], beside: Found[Change] | None
+        self, variants: Sequence[Variant], excluded: Found[Change] | None
     ) -> tuple[DriveHypothesis | None, float, int]:
         """The best of some variants, what it is worth together with the two that follow it, and how many of them are worth anything."""
-        given, total, count = self.blocks(beside), 0.0, 0
+        given, total, count = self.blocks(excluded), 0.0, 0
         first: DriveHypothesis | None = None
         for _ in range(3):
-            tried = linear_hypotheses(self.scene, variants, self.data, given, self._skip(beside))
+            tried = linear_hypotheses(self.scene, variants, self.data, given, self._skip(excluded))
             top = max(tried, key=lambda h: h.nats, default=None)
             if top is None or top.change.block is None or top.nats < self.threshold:
                 break
@@ -245,7 +245,7 @@ class DriveProblem(SettledFixes):
             scene = scene.with_windows((*scene.windows, window))
             new = replace(new, chosen=placed(h, scene.width - 1))
         elif h.effect in FIRST:
-            scene, new = self._apart_from_outliers(new)
+            scene, new = self._outliers_removed(new)
             h = new.chosen
         elif (level := h.change.noise) is not None and level.colour is not None:
             noise = replace(
@@ -288,18 +288,18 @@ class DriveProblem(SettledFixes):
         }
 
     def again(self, old: Found[Change]) -> Again[Change] | None:
-        """An effect of the IMU or of timing beside all the others."""
+        """An effect of the IMU or of timing next to all the others."""
         h = old.chosen
         if h.change.block is None or h.change.window is not None:
             return None
         ranked = best_first(
-            linear_hypotheses(self.scene, self._beside(old), self.data, self.blocks(old), self._skip(old))
+            linear_hypotheses(self.scene, self._compatible(old), self.data, self.blocks(old), self._skip(old))
         )
         least = min(self.threshold, rules().keep_nats)
-        beside = self._unexplained(old)
+        unexplained = self._unexplained(old)
         own = next((r for r in ranked if (r.effect, r.sensor) == (h.effect, h.sensor)), replace(h, nats=-math.inf))
-        kept = beyond_doubt(beside, own, least)
-        ranked = held(beside, [kept if r is own else r for r in ranked], least)
+        kept = beyond_doubt(unexplained, own, least)
+        ranked = doubted_last(unexplained, [kept if r is own else r for r in ranked], least)
         rival, idle = ranked[0], ranked[0].nats < least
         # what jumps was weighed where this was found, and stays as far from it
         jumps = [replace(r, nats=r.nats + kept.nats - h.nats) for r in old.ranked if r.effect in JUMPS]
@@ -320,7 +320,7 @@ class DriveProblem(SettledFixes):
         self.found, self._changed = [g for g in self.found if g is not old], True
 
     def keep_sure(self) -> None:
-        """Take back, the weakest first, each finding that is not sure to be worth anything beside the others."""
+        """Take back, the weakest first, each finding that is not sure to be worth anything next to the others."""
         least = min(self.threshold, rules().keep_nats)
         while True:
             whole, sure = self.data.log_factor(self.blocks()), list[tuple[float, Found[Change]]]()
@@ -337,14 +337,14 @@ class DriveProblem(SettledFixes):
         self.found = [f for f in self.found if f.chosen.change.block is not None]
         self.gone = {}
         first = first.with_windows(self.scene.windows)
-        scene = first.rebuilt(corrections=self.scene.corrections).steadied_again(self.blocks(), self.cut)
+        scene = first.rebuilt(corrections=self.scene.corrections).corrected_again(self.blocks(), self.cut)
         self.recorded = scene.original.gnss
         self._take(scene.trimmed(self.blocks(), self.cut))
 
     def hold_against_the_rest(self) -> None:
         """Weigh noise of the fixes against each effect that was weighed again without it."""
         for k, f in enumerate(self.found):
-            h, others, beside = f.chosen, self.blocks(f), self._unexplained(f)
+            h, others, unexplained = f.chosen, self.blocks(f), self._unexplained(f)
             if h.change.block is not None and not any(r.change.noise is not None for r in f.ranked):
                 rivals = covariance_hypotheses(self.scene, others, self._skip(f), self.cut, self._levelled(f))
                 # an effect of thousands of nats was weighed at the variance of the field, these at one
@@ -352,11 +352,11 @@ class DriveProblem(SettledFixes):
                 f = replace(f, ranked=(*f.ranked, *rivals))
             weighed = {r.effect for r in f.ranked} if h.effect not in STEPS else set[str]()
             for effect in (e for e in JUMPS if e in weighed):  # what came since tells how far from it they are
-                jumps = STEPS[effect](beside)
+                jumps = STEPS[effect](unexplained)
                 f = replace(f, ranked=(*(r for r in f.ranked if r.effect != effect), *jumps))
             ranked = best_first(f.ranked)
             if h.change.block is not None:
-                ranked = held(beside, ranked, min(self.threshold, rules().keep_nats))
+                ranked = doubted_last(unexplained, ranked, min(self.threshold, rules().keep_nats))
             self.found[k] = replace(f, ranked=tuple(ranked))
 
 
@@ -373,16 +373,16 @@ def find_effects(
     problem = DriveProblem(scene, cut, threshold, without)
     search(problem, progress)
     if problem.noise_came_early():
-        progress("the noise of the fixes again, beside what was found since")
+        progress("the noise of the fixes again, next to what was found since")
         problem.noise_again(scene)
         search(problem, progress)
     if problem.split():
         progress("once more, with simpler effects in the place of a wide one")
         search(problem, progress)
-    if problem.settle():
-        progress("once more, with noise and steps of the fixes as they are beside the rest")
+    if problem.estimate_fixes_again():
+        progress("once more, with noise and steps of the fixes as they are with the rest")
         search(problem, progress)
-        problem.settle()
+        problem.estimate_fixes_again()
     problem.keep_sure()
     if cut is None:
         # a name is that of the best explanation
@@ -396,7 +396,7 @@ def find_effects(
 
 @on_one_thread
 def _held_out(
-    at: MendedDrive, scene: Scene, came: Flown | None, threshold: float, without: Collection[str], policy: Policy
+    at: RepairedDrive, scene: Scene, came: Flown | None, threshold: float, without: Collection[str], policy: Policy
 ) -> DriveScore:
     """Figures on the last part of the recording with effects named on the first; before them it is as it came."""
     with under(policy):
@@ -450,9 +450,9 @@ def find_dynamic_gap(
         raise InputError(
             f"no noise model is believed for {', '.join(missing)}; a recording with fixes needs all six axes"
         )
-    at = MendedDrive.of(recording, nominal, without, flown, say)
+    at = RepairedDrive.of(recording, nominal, without, flown, say)
     say("responding every effect through the filter")
-    scene = opened(at.prepared)
+    scene = scene_under_colour(at.prepared)
     if scene.noise is not None:
         without = (*without, "gnss_correlated_noise")
     competing = [v for v in bank(scene) if v.effect not in without]
@@ -473,7 +473,7 @@ def find_dynamic_gap(
     )
     rest = corrected([*tests, *drive_map(final, residual, {name: r.end for name, r in fast}, drawn)])
     outages = outages_along(named.scene.loop, named.scene.motion)
-    each = with_confusable([told(f, named, outages) for f in named.found], named, without, repeated)
+    each = with_confusable([reported(f, named, outages) for f in named.found], named, without, repeated)
     findings, left = _doubted(each, named, fast, at, failed, outages)
     refined = dict(nominal.beliefs)
     for s in findings:
@@ -491,7 +491,7 @@ def _doubted(
     each: Sequence[Finding],
     named: Named,
     fast: Sequence[tuple[str, AxisResult]],
-    at: MendedDrive,
+    at: RepairedDrive,
     failed: Sequence[Where],
     outages: Sequence[Outage],
 ) -> tuple[list[Finding], str]:
@@ -507,6 +507,6 @@ def _doubted(
     heard = [replace(s, metres=worth_in_noise(s, white, outages)) for s in heard]
     heard = [with_delay(s, at.late.get(s.sensor, 0.0)) for s in heard]
     left = remainder(failed, changing)
-    wrong = at.prepared.mended.noise if at.prepared.mended else {}
+    wrong = at.prepared.repaired.noise if at.prepared.repaired else {}
     seen = [with_white(s, wrong.get(s.effect, np.zeros(6)), outages) for s in at.noticed]
     return sorted([*joined(own), *heard, *seen], key=lambda s: -s.nats), left

@@ -1,4 +1,4 @@
-"""From what was found on the axes of a log to findings as they are reported: joined over axes, doubted, told in words."""
+"""From what was found on the axes of a log to findings as they are reported: joined over axes, doubted, in words."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from insemu.gap.beliefs.nominal import Nominal
 from insemu.gap.candidates.shapes import EQUATIONS
-from insemu.gap.data.samples import mend, with_counts
+from insemu.gap.data.samples import repair, with_counts
 from insemu.gap.drive.preparation import Prepared, fast_parts, prepare
 from insemu.gap.drive.scene import ARMS, TERMS, Scene, Window
 from insemu.gap.evidence.fixes import LEVEL_ROWS, NED, joint_noise
@@ -25,21 +25,21 @@ Array = NDArray[np.float64]
 MOST_TURNS = 4
 
 
-def opened(prepared: Prepared) -> Scene:
+def scene_under_colour(prepared: Prepared) -> Scene:
     """The scene of a recording, under the colour of its fixes that is known."""
     scene = Scene.of(prepared)
     scene = scene.trimmed(scene.always) if scene.always else scene
     colour = colour_of(prepared.nominal.effects)
     if colour is None:
         return scene
-    loud, noise = FixNoise(np.ones(6), colour, known=True).apart(scene.surrogate.sigma())
+    loud, noise = FixNoise(np.ones(6), colour, known=True).split(scene.surrogate.sigma())
     scene = scene.rebuilt(factors=scene.original.factors * loud)
     moved = scene.original.factors / scene.original.levels
     return scene.coloured(joint_noise(scene.surrogate, noise, moved).noise)
 
 
 @dataclass(frozen=True)
-class Left:
+class JointStep:
     """What a recording less its findings still says of them.
 
     Parameters
@@ -54,7 +54,7 @@ class Left:
     findings: tuple[Finding, ...]
 
 
-def left(recording: Recording, nominal: Nominal, findings: Sequence[Finding]) -> Left:
+def gauss_newton_step(recording: Recording, nominal: Nominal, findings: Sequence[Finding]) -> JointStep:
     """What a recording less its findings says of their numbers, all at once.
 
     Numbers that were found one after the other, each beside columns of the others, are not those of all effects as they act. Here the filter
@@ -74,12 +74,12 @@ def left(recording: Recording, nominal: Nominal, findings: Sequence[Finding]) ->
     InputError
         A recording on which the nominal filter cannot run.
     """
-    mended = mend(recording.imu, filled=nominal.filled)
-    nominal = replace(nominal, beliefs=with_counts(nominal.beliefs, mended.findings, recording.imu.dt))
-    recording = replace(recording, imu=mended.imu)
-    parts = fast_parts(replace(recording, imu=mended.heard), nominal)
+    repaired = repair(recording.imu, filled=nominal.filled)
+    nominal = replace(nominal, beliefs=with_counts(nominal.beliefs, repaired.findings, recording.imu.dt))
+    recording = replace(recording, imu=repaired.imu)
+    parts = fast_parts(replace(recording, imu=repaired.heard), nominal)
     found = list(findings)
-    scene = opened(prepare(recording, nominal, parts, {}, mended))
+    scene = scene_under_colour(prepare(recording, nominal, parts, {}, repaired))
     steps = {k: window for k, s in enumerate(found) if (window := _window(scene, s)) is not None}
     scene = scene.with_windows(tuple(steps.values()))
     owners = _columns(scene, found, list(steps))
@@ -100,14 +100,14 @@ def left(recording: Recording, nominal: Nominal, findings: Sequence[Finding]) ->
             k, name, value = owners[j]
             column = scene.columns[j] if j < scene.catalogue else None
             now = value + float(m)
-            found[k] = _moved(found[k], name, *(column.parameter(now, float(sd)) if column else (now, float(sd))))
+            found[k] = _with_value(found[k], name, *(column.parameter(now, float(sd)) if column else (now, float(sd))))
     factors = scene.original.factors * (1.0 if scene.noise is None else scene.noise.factor)
     for k, s in enumerate(found):
         if s.effect in LEVEL_ROWS:
             rows = [LEVEL_ROWS[s.effect] + NED.index(a) for a in s.axes]
             by = math.exp(float(np.mean(np.log(factors[rows]))))
             found[k] = replace(s, parameters=tuple(v.scaled(by) if v.name == "factor" else v for v in s.parameters))
-    return Left(gain, tuple(found))
+    return JointStep(gain, tuple(found))
 
 
 def _window(scene: Scene, finding: Finding) -> Window | None:
@@ -156,7 +156,7 @@ def _columns(scene: Scene, findings: Sequence[Finding], steps: Sequence[int]) ->
     return owners
 
 
-def _moved(finding: Finding, name: str, value: float, sd: float) -> Finding:
+def _with_value(finding: Finding, name: str, value: float, sd: float) -> Finding:
     """A finding with another value of one of its numbers, as sure as a standard deviation says."""
     parameters = tuple(Value.normal(name, value, sd, v.unit) if v.name == name else v for v in finding.parameters)
     return replace(finding, parameters=parameters)

@@ -79,7 +79,7 @@ def starting_explanation(model: NoiseModel, known: Sequence[EffectUse], dt: floa
     return replace(explanation, rolloff=Rolloff(kind, values, free, floor=DEPTH * sum(whites)))
 
 
-def settled(known: Sequence[EffectUse]) -> tuple[str, ...]:
+def known_on_axis(known: Sequence[EffectUse]) -> tuple[str, ...]:
     """Effects of an axis that are not asked for again."""
     return tuple(dict.fromkeys(use.id for use in known if use.id in ("quantization", *TAKEN_OUT)))
 
@@ -138,8 +138,8 @@ def drive_without(
     nominal : Nominal
         What is known.
     gone : mapping of effect to (k,) array of int, optional
-        Which of the positions and of the velocities that there are, in order of time, were told outliers already (:func:`struck_out`); else it is
-        told which are, as many of them as are known.
+        Which of the positions and of the velocities that there are, in order of time, are known to be outliers (:func:`struck_out`); else as
+        many of them as are known are found.
     filled : bool
         Whether known lost samples are filled in; a search does so where it looks at the samples, which says how uncertain that is.
 
@@ -204,7 +204,7 @@ def _estimated(recording: Recording, nominal: Nominal) -> Trajectory:
 
 def _without_outliers(recording: Recording, nominal: Nominal, colour: Colour | None) -> Recording:
     """A recording without the positions and velocities that are more likely known outliers than not, as the nominal filter sees them."""
-    from insemu.gap.drive.fix_outliers import FIRST, always, by_filter, outlying, told_of, under_colour
+    from insemu.gap.drive.fix_outliers import FIRST, always, by_filter, known_outliers, outlying, under_colour
     from insemu.gap.drive.preparation import fast_parts, prepare
 
     if recording.gnss is None or not any(use.id in FIRST for use in nominal.effects):
@@ -212,9 +212,9 @@ def _without_outliers(recording: Recording, nominal: Nominal, colour: Colour | N
     prepared = replace(prepare(recording, nominal, fast_parts(recording, nominal), {}), factors=np.ones(6))
     look = by_filter(lambda gnss: prepared.again(gnss=gnss).result, prepared.gnss)
     if colour is not None:
-        loud, noise = FixNoise(np.ones(6), colour).apart(prepared.surrogate.sigma())
+        loud, noise = FixNoise(np.ones(6), colour).split(prepared.surrogate.sigma())
         look = always(under_colour(prepared.again(factors=loud).surrogate, noise))
-    return _struck_out(recording, outlying(look, told_of(nominal.effects, prepared.gnss)))
+    return _struck_out(recording, outlying(look, known_outliers(nominal.effects, prepared.gnss)))
 
 
 def _struck_out(recording: Recording, gone: Mapping[str, Array]) -> Recording:
@@ -249,8 +249,8 @@ def which(gone: Mapping[str, Array], recording: Recording) -> dict[str, NDArray[
     return {k: np.flatnonzero(np.isin(_stamps(recording, k), t)) for k, t in gone.items()}
 
 
-def both_told(whole: Recording, first: Told, then: Told) -> dict[str, NDArray[np.int64]]:
-    """Which of the positions and of the velocities of a recording were told outliers: some at first, then others among those that were left.
+def all_outliers(whole: Recording, first: Told, then: Told) -> dict[str, NDArray[np.int64]]:
+    """Which of the positions and of the velocities of a recording were classified as outliers: some at first, then others among those that were left.
 
     Parameters
     ----------

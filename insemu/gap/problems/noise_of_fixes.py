@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.gap.candidates.fixes import about, apart_from_named, at_level, rows_of, told_again, without_outliers
+from insemu.gap.candidates.fixes import about, at_level, classified_density, level_ratios, rows_of, without_outliers
 from insemu.gap.candidates.shapes import Change, DriveHypothesis, Variant, linear_nats
 from insemu.gap.candidates.steps import multipath_step, placed
 from insemu.gap.candidates.unexplained import Unexplained
@@ -31,7 +31,7 @@ MOST_LOOKS, AS_LONG = 5, 0.1
 OTHER_TIMES = (1.0 / 9.0, 1.0 / 3.0, 3.0)
 
 
-#: Fewest outliers that follow one another which are weighed against a step: of a share of a tenth, the most that are told, so many do by chance
+#: Fewest outliers that follow one another which are weighed against a step: of a share of a tenth, the most that are classified, so many do by chance
 #: once in a million fixes.
 SHORTEST_RUN = 6
 
@@ -57,11 +57,11 @@ def _cost_of(level: float) -> float:
     return float(0.5 * (level * level - 1.0) - math.log(level))
 
 
-def _longest_run(told: Array, t: Array) -> Array:
-    """Times of the most outliers that follow one another, of those at times ``told`` (k,), among fixes at times (f,)."""
-    begin, end = runs(np.isin(t, told))
+def _longest_run(classified: Array, t: Array) -> Array:
+    """Times of the most outliers that follow one another, of those at times ``classified`` (k,), among fixes at times (f,)."""
+    begin, end = runs(np.isin(t, classified))
     if not begin.size:
-        return told[:0]
+        return classified[:0]
     k = int(np.argmax(end - begin))
     return np.asarray(t[begin[k] : end[k]])
 
@@ -114,9 +114,9 @@ class NoiseOfFixes(ABC):
         return louder and arm and self.scene.original.rectified is not None
 
     def _turn_colour(self) -> None:
-        """Set a colour that was named to another correlation time where it, and what is named beside it, explain more there.
+        """Set a colour that was named to another correlation time where it, and what is named next to it, explain more there.
 
-        One that was named first takes the slow part of the next effect, and one that was named beside a process leaves that process its own.
+        One that was named first takes the slow part of the next effect, and one that was named next to a process leaves that process its own.
         """
         scene, noise = self.scene, self.scene.noise
         if noise is None or noise.known:
@@ -142,17 +142,17 @@ class NoiseOfFixes(ABC):
         """What was found of an effect that is there once."""
         return next((f.chosen for f in self.found if f.chosen.effect == effect), None)
 
-    def _apart_from_outliers(self, new: Found[Change]) -> tuple[Scene, Found[Change]]:
+    def _outliers_removed(self, new: Found[Change]) -> tuple[Scene, Found[Change]]:
         """The scene without the fixes that are outliers, and these with share and size; a level that stood for them goes, or changes."""
         h, seen, nu = new.chosen, self.scene, self.scene.unexplained(self.blocks(), self.cut)
         first = FIRST[h.effect]
         ours = np.arange(6) // 3 == first // 3
         if first == 3 and seen.noise is not None:
             # no colour and no level of the positions stood for velocities
-            told = without_outliers(seen, h, self.cut, seen, nu)
-            return self._less(seen, h.effect, told.times), replace(new, chosen=told.outliers)
+            classified = without_outliers(seen, h, self.cut, seen, nu)
+            return self._less(seen, h.effect, classified.times), replace(new, chosen=classified.outliers)
         if seen.noise is not None:
-            # a colour may have stood for them, with a level beside it: what there is of both is found again
+            # a colour may have stood for them, with a level next to it: what there is of both is found again
             h = replace(h, nats=h.nats + self._take_back("gnss_correlated_noise", "gnss_noise_level"))
         stood = self._named(next(k for k, row in LEVEL_ROWS.items() if row == first))
         # one level stands beside outliers; of other axes it is found again
@@ -161,19 +161,19 @@ class NoiseOfFixes(ABC):
         if seen.noise is not None or stood is not None:
             nominal = np.where(ours, 1.0, [scene.original.factors, scene.original.levels])
             scene = scene.coloured(None).rebuilt(factors=nominal[0], levels=nominal[1])
-        told = without_outliers(scene, h, self.cut, seen, nu, level)
-        sized = told.outliers
+        classified = without_outliers(scene, h, self.cut, seen, nu, level)
+        sized = classified.outliers
         if stood is not None and level is not None:
-            if not _is_off(told.level):
+            if not _is_off(classified.level):
                 sized = replace(sized, nats=h.nats + self._take_back(stood.effect))
             else:
                 at, own = scene.original, about(stood)
-                factors, levels = (np.where(own, told.level, x) for x in (at.factors, at.levels))
+                factors, levels = (np.where(own, classified.level, x) for x in (at.factors, at.levels))
                 scene = scene.rebuilt(factors=factors, levels=levels)
-        return self._less(scene, h.effect, told.times), replace(new, chosen=sized)
+        return self._less(scene, h.effect, classified.times), replace(new, chosen=sized)
 
     def _outliers_again(self, scene: Scene, effect: str) -> Scene:
-        """The scene with outliers that were named told again, beside everything that was found since, with a level of theirs."""
+        """The scene with outliers that were named estimated again, next to everything that was found since, with a level of theirs."""
         known = self._named(effect)
         stood = self._named(next(k for k, row in LEVEL_ROWS.items() if row == FIRST[effect]))
         if known is None:
@@ -181,40 +181,40 @@ class NoiseOfFixes(ABC):
         others = {k: t for k, t in self.gone.items() if k != effect}
         whole = scene.rebuilt(whole=self.recorded, gone=others)
         # what is explained was estimated without them
-        nu = whole.less_explained(*scene.explaining(self.blocks(), self.cut))
-        told = without_outliers(whole, known, self.cut, whole, nu, None if stood is None else 1.0)
-        self.found = [replace(f, chosen=told.outliers) if f.chosen is known else f for f in self.found]
+        nu = whole.residual_innovations(*scene.explaining(self.blocks(), self.cut))
+        classified = without_outliers(whole, known, self.cut, whole, nu, None if stood is None else 1.0)
+        self.found = [replace(f, chosen=classified.outliers) if f.chosen is known else f for f in self.found]
         self.gone = others
         if stood is not None:
-            at, factor = scene.original, np.where(about(stood), told.level, 1.0)
+            at, factor = scene.original, np.where(about(stood), classified.level, 1.0)
             whole = whole.rebuilt(factors=at.factors * factor, levels=at.levels * factor)
             level = at_level(stood, whole.original.factors)
             self.found = [replace(f, chosen=level) if f.chosen is stood else f for f in self.found]
-        return self._less(whole, effect, told.times)
+        return self._less(whole, effect, classified.times)
 
     def _with_edges(self) -> bool:
-        """Take the positions back that were told outliers where a step may begin or end, by a filter that did not know it; whether there were any."""
-        told = self.gone.get("gnss_outliers", np.zeros(0))
-        doubtful = np.zeros(told.size, dtype=bool)
+        """Take positions back that count as outliers where a step may begin or end, by a filter that did not know it; whether there were any."""
+        classified = self.gone.get("gnss_outliers", np.zeros(0))
+        doubtful = np.zeros(classified.size, dtype=bool)
         for h in (f.chosen for f in self.found if f.chosen.effect == "gnss_multipath_step"):
             start, duration = (next(v for v in h.values if v.name == name) for name in ("start", "duration"))
             for low, high in (
                 (start.low, start.high),
                 (start.value + duration.low, start.value + duration.high),
             ):
-                doubtful |= (told >= low) & (told <= high)
+                doubtful |= (classified >= low) & (classified <= high)
         if doubtful.any():
-            self.gone["gnss_outliers"] = told[~doubtful]
+            self.gone["gnss_outliers"] = classified[~doubtful]
             self._take(self.scene.rebuilt(whole=self.recorded, gone=self.gone))
         return bool(doubtful.any())
 
     def _step_in_a_run(self) -> bool:
-        """Name a step where positions that follow one another were told outliers, and are more likely with it; whether there was one."""
-        known, told = self._named("gnss_outliers"), self.gone.get("gnss_outliers", np.zeros(0))
-        run = _longest_run(told, self.recorded.t)
+        """Name a step where positions that follow one another were classified as outliers, and are more likely with it; whether there was one."""
+        known, classified = self._named("gnss_outliers"), self.gone.get("gnss_outliers", np.zeros(0))
+        run = _longest_run(classified, self.recorded.t)
         if known is None or run.size < SHORTEST_RUN:
             return False
-        rest, blocks = np.setdiff1d(told, run), self.blocks()
+        rest, blocks = np.setdiff1d(classified, run), self.blocks()
         back = self.scene.rebuilt(whole=self.recorded, gone={**self.gone, "gnss_outliers": rest})
         unexplained = Unexplained(back, back.field(self.cut), back.upto(self.cut), blocks)
         step = next(iter(multipath_step(unexplained)), None)
@@ -225,9 +225,9 @@ class NoiseOfFixes(ABC):
         step = placed(step, back.width - 1)
         assert step.change.block is not None
         whole = self.scene.rebuilt(whole=self.recorded, gone={k: t for k, t in self.gone.items() if k != known.effect})
-        before, _ = told_again(whole, known, self.scene.explaining(blocks, self.cut), self.cut, told)
+        before, _ = classified_density(whole, known, self.scene.explaining(blocks, self.cut), self.cut, classified)
         beside = back.explaining([*blocks, step.change.block], self.cut)
-        after, rest = told_again(whole.with_windows(back.windows), known, beside, self.cut, rest)
+        after, rest = classified_density(whole.with_windows(back.windows), known, beside, self.cut, rest)
         # what is paid for its size and its times
         sd = (size.high - size.low) / (2.0 * 1.96)
         paid = max(0.5 * (size.value / sd) ** 2 - step.nats, 0.0)
@@ -241,7 +241,7 @@ class NoiseOfFixes(ABC):
         return True
 
     def _less(self, scene: Scene, effect: str, times: Array) -> Scene:
-        """A scene without outliers, those that were told before included."""
+        """A scene without outliers, those found before included."""
         self.gone[effect] = np.union1d(self.gone.get(effect, np.zeros(0)), times)
         return scene.rebuilt(gone=self.gone)
 
@@ -257,12 +257,12 @@ class NoiseOfFixes(ABC):
         return s if self.cut is None else s.until(self.cut)
 
     def _needs_a_level(self, noise: FixNoise) -> bool:
-        """Whether a level of the positions that was named still explains something beside a colour."""
+        """Whether a level of the positions that was named still explains something next to a colour."""
         level = self._named("gnss_noise_level")
         if level is None:
             return True
         s, wide = self._fixes(self.scene), [rows_of(level)]
-        usual = apart_from_named(self.scene, wide)
+        usual = level_ratios(self.scene, wide)
         beside = joint_noise(s, noise, usual, wide=wide)
         return beside.evidence > joint_noise(s, noise, usual).evidence + rules().keep_nats
 
@@ -275,7 +275,7 @@ class NoiseOfFixes(ABC):
 
         def likeliest(noise: FixNoise, s: Surrogate | None = None) -> JointNoise:
             wide = self._levels()
-            return joint_noise(self._fixes(scene) if s is None else s, noise, apart_from_named(scene, wide), wide=wide)
+            return joint_noise(self._fixes(scene) if s is None else s, noise, level_ratios(scene, wide), wide=wide)
 
         def predicted(noise: FixNoise) -> float:
             # what the first part of the fixes says of the last
@@ -291,7 +291,7 @@ class NoiseOfFixes(ABC):
             joint = plain
         less = most - joint.evidence
         known = self._named("gnss_outliers")
-        loud, noise = joint.noise.apart(scene.surrogate.sigma())
+        loud, noise = joint.noise.split(scene.surrogate.sigma())
         kept = {k: t for k, t in self.gone.items() if FIRST[k] > 0}
         scene = whole = scene.rebuilt(factors=scene.original.factors * loud, whole=self.recorded, gone=kept)
         as_long = False
@@ -301,9 +301,9 @@ class NoiseOfFixes(ABC):
             now = before
             if known is not None:
                 whole = whole.coloured(noise)
-                told = without_outliers(whole, known, self.cut, whole, whole.unexplained(self.blocks(), self.cut))
-                self.found = [replace(f, chosen=told.outliers) if f.chosen is known else f for f in self.found]
-                now, known = told.times, told.outliers
+                classified = without_outliers(whole, known, self.cut, whole, whole.unexplained(self.blocks(), self.cut))
+                self.found = [replace(f, chosen=classified.outliers) if f.chosen is known else f for f in self.found]
+                now, known = classified.times, classified.outliers
                 self.gone["gnss_outliers"] = now
                 if as_long and np.array_equal(before, now):  # the look before was at the same fixes
                     break
@@ -318,11 +318,11 @@ class NoiseOfFixes(ABC):
         return scene.coloured(noise), joint, less
 
     def _levels(self) -> list[list[int]]:
-        """Components of the fixes of each level that was named: what it is beside a colour, which it may have stood for, is asked again."""
+        """Components of the fixes of each level that was named: what it is next to a colour, which it may have stood for, is asked again."""
         return [rows for f in self.found if (rows := rows_of(f.chosen))]
 
     def _parted(self, noise: FixNoise, effect: str) -> bool:
-        """Name as many levels as are likely beside a noise of the fixes: one of all axes, one of each part of them, or those that were named.
+        """Name as many levels as are likely next to a noise of the fixes: one of all axes, one of each part of them, or those that were named.
 
         A level is named of whatever explains most at the time; what is named behind it, smoothed vertical velocities, say, leaves one axis quieter.
         Whether there are more levels than before.
@@ -338,7 +338,7 @@ class NoiseOfFixes(ABC):
         if not ways:
             return False
         others = [rows for rows in self._levels() if rows not in own]
-        usual = apart_from_named(self.scene, self._levels())
+        usual = level_ratios(self.scene, self._levels())
         likely = [joint_noise(s, noise, usual, wide=[*way, *others]) for way in (own, *ways)]
         gain = [
             joint.evidence - likely[0].evidence - (rules().lead if len(way) > len(own) else 0.0)
@@ -377,7 +377,7 @@ class NoiseOfFixes(ABC):
         level = self._named("gnss_noise_level")
         own = about(level) if level is not None else np.zeros(6, dtype=bool)
         wide = [] if level is None else [rows_of(level)]
-        s, usual = self._fixes(scene), apart_from_named(scene, wide)
+        s, usual = self._fixes(scene), level_ratios(scene, wide)
         plain = joint_noise(s, replace(noise, colour=PLAIN, known=True), usual, wide=wide)
         if joint_noise(s, noise, usual, wide=wide).evidence > plain.evidence + rules().keep_nats:
             return None

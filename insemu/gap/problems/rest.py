@@ -42,7 +42,7 @@ from insemu.gap.problems.findings import (
     split_axis,
     taken_out,
 )
-from insemu.gap.problems.known_effects import settled, starting_explanation
+from insemu.gap.problems.known_effects import known_on_axis, starting_explanation
 from insemu.gap.search import Again, search
 from insemu.gap.threshold import certain, nominal_tail, threshold_of, usual_tail
 from insemu.gap.verdict import GapReport, Interval, Where, judged
@@ -92,11 +92,11 @@ class AxisProblem:
         self._beyond = tuple(name for name in without if name in CANDIDATES) if outsiders else ()
 
     def rank(self) -> list[AxisHypothesis]:
-        """Every effect of the catalogue beside what was found."""
+        """Every effect of the catalogue next to what was found."""
         return weigh_all(self.state, self.without)
 
     def choose(self, ranked: Sequence[AxisHypothesis]) -> Found[AxisState] | None:
-        """The best effect, or one of known shape that holds beside it."""
+        """The best effect, or one of known shape that holds next to it."""
         best = ranked[0] if ranked else None
         beyond = [w for name in self._beyond for w in CANDIDATES[name](self.state)]
         if beyond and max(w.nats for w in beyond) > max(best.nats if best else 0.0, 0.0) + rules().lead:
@@ -114,7 +114,7 @@ class AxisProblem:
         untidy = any(w.effect in UNTIDY and w.nats > self.threshold for w in new.ranked)
         fast = new.chosen.effect in FAST and new.chosen.variant != "output counts"
         if fast and not untidy and checks.drifting_spectrum(self.state) < rules().drifting_p:
-            # no stationary process explains it, and more of them would only chase it; what is slow can still be told
+            # no stationary process explains it, and more of them would only chase it; what is slow can still be found
             self.outsider, self._beyond = VARYING, ()
             self.without = (*self.without, *FAST, *UNTIDY)
             self.state = reweighted(self.state)
@@ -353,7 +353,7 @@ class _Log:
         results, threshold = {}, rules().least_nats
         for s in self.log:
             self.say(f"{s.name}: weighing candidates")
-            named = settled(self.known.get(s.name, ()))
+            named = known_on_axis(self.known.get(s.name, ()))
             start = state_of(reduce(s), self.nominal(s), self.temperature, named)
             results[s.name] = search_axis(start, threshold=threshold, without=self.without, progress=self.say)
         past_doubt = certain(len(self.log))
@@ -382,7 +382,7 @@ class _Log:
             cut = int(len(s) * rules().naming_share) // data.block * data.block
             T = self.temperature
             T1, T2 = (None, None) if T is None else (T[:cut], T[cut:])
-            start = state_of(piece(data, 0, cut), nominal, T1, settled(self.known.get(s.name, ())))
+            start = state_of(piece(data, 0, cut), nominal, T1, known_on_axis(self.known.get(s.name, ())))
             named = search_axis(start, threshold=threshold, without=self.without)
             out.append(score_axis(named.end, named.taken_out(), nominal, piece(data, cut, len(s)), T2))
         return out

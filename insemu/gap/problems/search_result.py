@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from insemu.effects import EFFECTS
 from insemu.gap.candidates.fixes import (
-    apart_from_named,
     as_joint,
     at_level,
+    level_ratios,
     mixture,
     rows_of,
     whole_innovations,
@@ -91,7 +91,7 @@ def believing(named: Named, cut: float | None = None) -> tuple[Named, Scene, lis
     else:
         s = replace(scene.surrogate, nu=scene.unexplained(blocks, cut))
         wide = [rows for f in named.found if (rows := rows_of(f.chosen))]
-        joint = joint_noise(s if cut is None else s.until(cut), scene.noise, apart_from_named(scene, wide), wide=wide)
+        joint = joint_noise(s if cut is None else s.until(cut), scene.noise, level_ratios(scene, wide), wide=wide)
         scene = scene.coloured(joint.noise)
         found = tuple(replace(f, chosen=as_joint(f.chosen, scene, joint)) for f in named.found)
         if coloured:
@@ -147,7 +147,7 @@ def _of_outliers(scene: Scene, named: Named, final: Scene, blocks: Sequence[Bloc
     return total
 
 
-def told(f: Found[Change], named: Named, outages: Sequence[Outage]) -> Finding:
+def reported(f: Found[Change], named: Named, outages: Sequence[Outage]) -> Finding:
     """A finding as it is reported: values from everything together, members of its class, runners-up.
 
     Parameters
@@ -155,13 +155,13 @@ def told(f: Found[Change], named: Named, outages: Sequence[Outage]) -> Finding:
     f, named : Found, Named
         One of what was found, and all of it.
     outages : sequence of Outage
-        In which it is told what noise is worth.
+        In which the worth of noise is computed.
     """
     h, scene, values, metres = f.chosen, named.scene, f.chosen.values, math.nan
     factor = 1.0
     if is_lasting(h):
-        beside = [*scene.always, *blocks_of([g for g in named.found if g is not f])]
-        factor = excess_of(Unexplained(scene, scene.data, slice(None), beside), h)
+        given = [*scene.always, *blocks_of([g for g in named.found if g is not f])]
+        factor = excess_of(Unexplained(scene, scene.data, slice(None), given), h)
     if h.change.block is not None and (h.change.columns or h.change.window is not None):
         index, mean, covariance = scene.data.posterior(named.blocks)
         # two blocks may share a column: what it explains is their sum

@@ -1,4 +1,4 @@
-"""Noise and steps of the fixes of a drive as they are beside everything that a search found."""
+"""Noise and steps of the fixes of a drive as they are with everything that a search found."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from insemu.gap.candidates.fixes import apart_from_named, as_joint, at_level, rows_of
+from insemu.gap.candidates.fixes import as_joint, at_level, level_ratios, rows_of
 from insemu.gap.candidates.jumps import bias_step, changed_term, lever_arm_step
 from insemu.gap.candidates.robust import beyond_doubt
 from insemu.gap.candidates.shapes import Change, DriveHypothesis, Variant, linear_hypotheses
@@ -40,7 +40,7 @@ def _is_another(one: Window | None, other: Window | None) -> bool:
     return one[0] != other[0] or not max(one[1], other[1]) < min(one[2], other[2])
 
 
-class SettledFixes(NoiseOfFixes):
+class FinalFixes(NoiseOfFixes):
     """What a drive's problem settles at the end of a search.
 
     Attributes
@@ -55,7 +55,7 @@ class SettledFixes(NoiseOfFixes):
     rows: slice
 
     @abstractmethod
-    def _beside(self, without: Found[Change] | None = None) -> list[Variant]:
+    def _compatible(self, without: Found[Change] | None = None) -> list[Variant]:
         """What may stand beside the findings, all or all but one."""
 
     @abstractmethod
@@ -66,22 +66,22 @@ class SettledFixes(NoiseOfFixes):
     def put(self, old: Found[Change], new: DriveHypothesis, again: Again[Change]) -> None:
         """Let a hypothesis stand in the place of a finding."""
 
-    def settle(self) -> bool:
-        """Noise and steps of the fixes as they are beside everything that was found since; whether so much moved that it is looked again."""
+    def estimate_fixes_again(self) -> bool:
+        """Noise and steps of the fixes as they are with everything that was found since; whether so much moved that it is looked again."""
         colour, moved = self._named("gnss_correlated_noise"), False
         if colour is None:
             moved = self._step_in_a_run()
             if back := self._with_edges():
-                moved |= self._settle_steps()
+                moved |= self._steps_again()
             if back or (self.found and self.found[-1].chosen.effect not in FIRST):
                 for effect in (k for k in FIRST if k in self.gone):
                     self._take(self._outliers_again(self.scene, effect))
-            moved |= self._settle_steps()
+            moved |= self._steps_again()
             # either effect is asked, whatever the other one answers
             if self.scene.noise is None and any([self._parted(WHITE, effect) for effect in LEVEL_ROWS]):
                 self._take(self._at_named_levels(self.scene))
                 s, wide = self._fixes(self.scene), self._levels()
-                joint = joint_noise(s, WHITE, apart_from_named(self.scene, wide), wide=wide)
+                joint = joint_noise(s, WHITE, level_ratios(self.scene, wide), wide=wide)
                 self.found = [replace(f, chosen=as_joint(f.chosen, self.scene, joint)) for f in self.found]
                 factors = self.scene.original.factors * joint.noise.factor
                 self._take(self._at_named_levels(self.scene.rebuilt(factors=factors)))
@@ -100,7 +100,7 @@ class SettledFixes(NoiseOfFixes):
             now = joint.noise.colour
             longer = abs(math.log(now.tau / before.tau)) > math.log1p(rules().tolerance)
             moved = plain is not None or longer or now.follows != before.follows or parted
-            moved |= self._settle_steps()
+            moved |= self._steps_again()
         return moved
 
     def _at_named_levels(self, scene: Scene) -> Scene:
@@ -111,21 +111,21 @@ class SettledFixes(NoiseOfFixes):
             levels[rows_of(h)] = h.values[0].value
         return scene.rebuilt(levels=levels)
 
-    def _settle_steps(self) -> bool:
-        """Look for each step once more, beside everything that was found since; whether another effect now stands in the place of one."""
+    def _steps_again(self) -> bool:
+        """Look for each step once more, next to everything that was found since; whether another effect now stands in the place of one."""
         given_way = False
         for old in [f for f in self.found if f.chosen.change.window is not None]:
             assert old.chosen.change.block is not None
-            beside, least = self._unexplained(old), min(self.threshold, rules().keep_nats)
-            own = next((h for h in STEPS[old.chosen.effect](beside) if h.sensor == old.chosen.sensor), None)
+            unexplained, least = self._unexplained(old), min(self.threshold, rules().keep_nats)
+            own = next((h for h in STEPS[old.chosen.effect](unexplained) if h.sensor == old.chosen.sensor), None)
             if own is not None and _is_another(own.change.window, old.chosen.change.window):
                 # an outlier that was put back at its edge explains more, say: that is for the search to find
                 worth = self.data.log_factor(self.blocks()) - self.data.log_factor(self.blocks(old))
                 own = old.chosen if worth >= least else None
-            if own is None or beyond_doubt(beside, own, least).nats < least:
+            if own is None or beyond_doubt(unexplained, own, least).nats < least:
                 self.found = [f for f in self.found if f is not old]
                 continue
-            rivals = linear_hypotheses(self.scene, self._beside(old), self.data, self.blocks(old), self._skip(old))
+            rivals = linear_hypotheses(self.scene, self._compatible(old), self.data, self.blocks(old), self._skip(old))
             ranked = tuple(best_first([*rivals, own]))
             if ranked[0].nats > own.nats + rules().swap_nats:  # it lasts throughout, or is something else
                 self.put(old, ranked[0], Again(own, ranked, ranked[0], False))
