@@ -422,9 +422,7 @@ class Experiment:
         gnss = self._received(name, ekf, one, known.gnss)
         return _Prepared(ekf, imu, gnss, known.aids, known.imu, rows, unaided, true)
 
-    def _received(
-        self, name: str, ekf: NavigationFilter, one: _Realized, fixes: GnssRecord
-    ) -> GnssRecord | RawRecord:
+    def _received(self, name: str, ekf: NavigationFilter, one: _Realized, fixes: GnssRecord) -> GnssRecord | RawRecord:
         """What a design takes of the receiver, as it believes it: fixes, or with states of the clock raw observations."""
         options = self.scenario.designs[name].options
         if one.raw is None or options.states.clock is None:
