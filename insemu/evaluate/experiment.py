@@ -340,8 +340,9 @@ class Experiment:
         made = self.filter(design)
         if not isinstance(made, LooselyCoupledEKF) or not made.first_order:
             name = self.scenario.designs[design].filter
+            what = "tightly coupled" if name is None else f"the filter '{name}'"
             raise InputError(
-                f"the design '{design}' is the filter '{name}', expected the extended Kalman filter",
+                f"the design '{design}' is {what}, expected the loosely coupled extended Kalman filter",
                 where=str(self.file or "scenario"),
             )
         return made
