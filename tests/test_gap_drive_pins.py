@@ -105,7 +105,7 @@ def test_members_of_a_class_hold_96_percent_together():
 def test_a_search_ends_where_nothing_keeps_a_fifth(nats, taken):
     ranked = [Hypothesis("ramp", nats, (), Change()), *(Hypothesis(str(k), 0.0, (), Change()) for k in range(20))]
     problem = SimpleNamespace(
-        scene=None, data=None, threshold=3.0, blocks=list, _hidden_pair=lambda _: None, _apart=lambda best: best
+        scene=None, data=None, threshold=3.0, blocks=list, _hidden_pair=lambda _: None, _simpler=lambda best: best
     )
     assert (drive.DriveProblem.choose(problem, ranked) is not None) == taken
 
@@ -196,7 +196,7 @@ def test_an_effect_worth_less_than_two_nats_beside_the_others_is_idle(nats, idle
         threshold=3.0,
         blocks=lambda _: [],
         _skip=lambda _: set(),
-        _beside=lambda _: (),
+        _compatible=lambda _: (),
         _unexplained=lambda _: None,
     )
     assert drive.DriveProblem.again(problem, old).idle == idle

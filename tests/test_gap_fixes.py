@@ -613,6 +613,8 @@ def test_held_out_fixes_are_outliers_or_none() -> None:
     classified = problem.named()
     scored = held_out(scene, classified, cut)
     after, gain = scored.after, scored.gain
+    assert [[a for a, *_ in s.added] for s in scored.shrink] == [[], ["gnss_outliers"]]
+    assert [s.index for s in scored.shrink] == pytest.approx([scored.before.value, after.value], rel=1e-12)
     # another way: the filter without them, and each as it is predicted there
     share, sigma = classified.found[0].chosen.values[0].value, classified.found[0].chosen.values[1].value
     clean, s = classified.scene.prepared.result.fixes, scene.prepared.result.fixes

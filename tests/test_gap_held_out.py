@@ -1,6 +1,7 @@
 """What the gap index on data not used for naming stands on, and its interval."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +10,10 @@ from scipy import stats
 from insemu import rotation
 from insemu.gap import session
 from insemu.gap.candidates.mounting import Mounted
-from insemu.gap.holdout import DriveScore, burst
-from insemu.gap.session import _scored
-from insemu.gap.verdict import Burst, Finding, GapReport, Interval, Value, Where
-from insemu.report.gap import burst_said, is_better
+from insemu.gap.holdout import DriveScore, burst, scored
+from insemu.gap.verdict import Burst, Finding, GapReport, Interval, Step, Value, Where
+from insemu.report.gap import burst_said, is_better, render_gap
+from insemu.report.gap_charts import shrink_chart
 from tests.test_gap_worth import finding
 
 REPORT = GapReport(
@@ -83,14 +84,32 @@ def test_the_score_counts_the_motion_across_the_vehicle_with_its_own_spread() ->
     nothing = Mounted(None, np.zeros(3), (), ())
     mounted = replace(nothing, chi_square=(160.0, 80.0), dof=80, gain=(80.0, 16.0))
     score = DriveScore(REPORT.gap_before, REPORT.gap_after, Interval.normal(6.0, 0.1), None)
-    found = _scored(REPORT, score, mounted)
+    found = scored(REPORT, score, mounted, ())
     z = stats.norm.isf(0.025)
     assert found.held_out.value == pytest.approx(6.0 + 2.0)
     spread = z * np.hypot(0.1, 16.0 / 40)
     assert (found.held_out.low, found.held_out.high) == pytest.approx((8.0 - spread, 8.0 + spread), rel=1e-4)
     assert (found.gap_before.value, found.gap_after.value) == pytest.approx((0.5 * (4.0 + 2.0), 0.5 * (1.07 + 1.0)))
     assert found.gap_after.log_sd * found.gap_after.value == pytest.approx(0.5 * np.hypot(0.08, np.sqrt(2.0 / 80)))
-    assert _scored(REPORT, score, nothing).held_out == score.gain
+    assert scored(REPORT, score, nothing, ()).held_out == score.gain
+
+
+def test_the_steps_of_the_gap_begin_and_end_where_its_indices_do(tmp_path: Path) -> None:
+    """The wrong mounting is taken off before the search, with the second step."""
+    arm = ("lever_arm", "gnss", ("x",))
+    steps = (Step((), 4.0, 0.1), Step((), 2.0, 0.1), Step((arm,), 1.07, 0.1))
+    mounted = Mounted(None, np.zeros(3), (), (), chi_square=(160.0, 80.0), dof=80, gain=(80.0, 16.0))
+    score = DriveScore(REPORT.gap_before, REPORT.gap_after, Interval.normal(6.0, 0.1), None, steps)
+    found = scored(REPORT, score, mounted, [finding("mounting", "imu", rpy_yaw=0.1)])
+    assert [s.added for s in found.shrink] == [(), (("mounting", "imu", ("x",)),), (arm,)]
+    assert [s.index for s in found.shrink] == pytest.approx([found.gap_before.value, 1.5, found.gap_after.value])
+    assert [s.spread for s in found.shrink] == pytest.approx([0.5 * np.hypot(0.1, np.sqrt(2.0 / 80))] * 3)
+    (view,) = shrink_chart(found).views
+    low, high, line, _ = view.lines
+    assert list(line.y) == [s.index for s in found.shrink]
+    page = render_gap(replace(found, verdict="nothing missing"), tmp_path).read_text(encoding="utf-8")
+    assert "How the gap shrinks" in page and "mounting angles" in page
+    assert (high.y - low.y) / 2.0 == pytest.approx(stats.norm.isf(0.025) * found.shrink[0].spread, rel=1e-3)
 
 
 @pytest.mark.parametrize(("gain", "word"), [(0.19, "not shown"), (0.21, "yes"), (-0.19, "not shown"), (-0.21, "no")])

@@ -55,7 +55,7 @@ def test_a_level_of_all_axes_becomes_two_where_they_differ(effect: str, hidden: 
     """On ublox_mixed_nominal one level of 0.11 stood for all velocities, whose vertical ones scattered by 0.4 of that."""
     problem = naming(effect, {NED: 0.4}, use(effect=effect, factor=[0.6, 0.6, 0.2]), *hidden)
     nats = sum(f.chosen.nats for f in problem.found if f.chosen.effect == effect)
-    assert problem.settle()
+    assert problem.estimate_fixes_again()
     levels = told(problem, effect)
     assert set(levels) == {HORIZONTAL, VERTICAL}
     assert levels[HORIZONTAL][0] < 0.6 < levels[HORIZONTAL][2] and levels[VERTICAL][0] < 0.2 < levels[VERTICAL][2]
@@ -64,7 +64,7 @@ def test_a_level_of_all_axes_becomes_two_where_they_differ(effect: str, hidden: 
     at, rows = problem.scene.original, slice(LEVEL_ROWS[effect], LEVEL_ROWS[effect] + 3)
     factors = at.factors * (1.0 if problem.scene.noise is None else problem.scene.noise.factor)
     np.testing.assert_allclose(at.levels[rows], factors[rows], rtol=0.25)
-    assert not problem.settle() and set(told(problem, effect)) == {HORIZONTAL, VERTICAL}
+    assert not problem.estimate_fixes_again() and set(told(problem, effect)) == {HORIZONTAL, VERTICAL}
 
 
 @pytest.mark.parametrize(
@@ -73,21 +73,21 @@ def test_a_level_of_all_axes_becomes_two_where_they_differ(effect: str, hidden: 
 def test_levels_of_parts_become_one_where_they_are_alike(hidden: tuple[EffectUse, ...]) -> None:
     effect = "gnss_velocity_noise"
     problem = naming(effect, {HORIZONTAL: 1.7, VERTICAL: 2.4}, use(effect=effect, factor=2.0), *hidden)
-    problem.settle()
+    problem.estimate_fixes_again()
     levels = told(problem, effect)
     assert set(levels) == {NED} and levels[NED][0] < 2.0 < levels[NED][2]
 
 
 def test_a_level_that_is_one_stays_one() -> None:
     problem = naming("gnss_noise_level", {NED: 2.5}, use(effect="gnss_noise_level", factor=2.5))
-    problem.settle()
+    problem.estimate_fixes_again()
     assert set(told(problem, "gnss_noise_level")) == {NED}
 
 
 def test_of_parts_of_a_level_one_may_be_as_believed() -> None:
     effect = "gnss_velocity_noise"
     problem = naming(effect, {NED: 0.6}, use(effect=effect, factor=[0.5, 0.5, 1.0]))
-    assert problem.settle()
+    assert problem.estimate_fixes_again()
     levels = told(problem, effect)
     assert set(levels) == {HORIZONTAL} and levels[HORIZONTAL][0] < 0.5 < levels[HORIZONTAL][2]
     assert problem.scene.original.factors[5] == pytest.approx(1.0, abs=0.15)

@@ -11,6 +11,7 @@ import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
 from insemu.gap.candidates.axis import CANDIDATES, AxisState
+from insemu.gap.candidates.mounting import Mounted
 from insemu.gap.checks.drive import COMPONENTS
 from insemu.gap.checks.rest import block_innovations
 from insemu.gap.data.log import Reduced, reduce
@@ -18,7 +19,7 @@ from insemu.gap.drive.scene import Scene
 from insemu.gap.evidence.fixes import LEVEL_GROUPS, level_derivatives, level_scores
 from insemu.gap.evidence.linear import Block
 from insemu.gap.evidence.model import Component, Explanation, Likelihood, fit
-from insemu.gap.verdict import Burst, Interval
+from insemu.gap.verdict import Burst, Finding, GapReport, Interval, Step
 from insemu.records import Series
 
 Array = NDArray[np.float64]
@@ -177,12 +178,15 @@ class DriveScore:
         Log score gained, nats per fix.
     burst : Burst, optional
         The fixes on which a large part of ``after`` stands.
+    shrink : tuple of Step
+        From ``before`` to ``after``, effect by effect.
     """
 
     before: Interval
     after: Interval
     gain: Interval
     burst: Burst | None = None
+    shrink: tuple[Step, ...] = ()
 
 
 def score_drive(scene: Scene, final: Scene, blocks: Sequence[Block], cut: float, outliers: float = 0.0) -> DriveScore:
@@ -278,3 +282,57 @@ def _log_volume(scene: Scene, cut: float) -> float:
         white, value = part.whiten(part.nu[:, :, None], scene.noise.factor, scene.noise.colour)
         volume -= sign * (value + 0.5 * float(np.sum(white**2)))
     return volume
+
+
+def scored(report: GapReport, score: DriveScore, mounted: Mounted | None, early: Sequence[Finding]) -> GapReport:
+    """The report with figures on held-out fixes, and on the held-out motion across the vehicle where its mounting was looked at.
+
+    Parameters
+    ----------
+    report : GapReport
+    score : DriveScore
+    mounted : Mounted, optional
+    early : sequence of Finding
+        What was taken off before the search.
+    """
+    steps = list(score.shrink)
+    if early and len(steps) > 1:
+        steps[1] = replace(steps[1], added=(*((f.effect, f.sensor, f.axes) for f in early), *steps[1].added))
+    if mounted is not None and mounted.dof and math.isfinite(score.before.value):
+        fixes = mounted.dof / 2
+        gain, sd = mounted.gain
+        held = _sum([score.gain, Interval(gain / fixes, (gain - 1.96 * sd) / fixes, (gain + 1.96 * sd) / fixes)])
+        # the motion across the vehicle and the innovations count alike
+        across = [chi_square / mounted.dof for chi_square in mounted.chi_square]
+        burst = score.burst
+        if burst is not None:
+            burst = replace(burst, without=_mean(burst.without, across[1], mounted.dof))
+        before, after = (_mean(i, a, mounted.dof) for i, a in zip((score.before, score.after), across, strict=True))
+        score = DriveScore(before, after, held, burst)
+        own = math.sqrt(2.0 / mounted.dof)
+        steps = [
+            replace(s, index=0.5 * (s.index + across[min(k, 1)]), spread=0.5 * math.hypot(s.spread, own))
+            for k, s in enumerate(steps)
+        ]
+    return replace(
+        report,
+        gap_before=score.before,
+        gap_after=score.after,
+        held_out=score.gain,
+        burst=score.burst,
+        shrink=tuple(steps),
+    )
+
+
+def _sum(items: list[Interval]) -> Interval:
+    some = [i for i in items if math.isfinite(i.value)]
+    if not some:
+        return items[0]
+    value = sum(i.value for i in some)
+    half = math.sqrt(sum((0.5 * (i.high - i.low)) ** 2 for i in some))
+    return Interval(value, value - half, value + half)
+
+
+def _mean(index: Interval, other: float, dof: int) -> Interval:
+    sd = 0.5 * math.hypot(index.log_sd * index.value, math.sqrt(2.0 / dof) * other)
+    return Interval.positive(0.5 * (index.value + other), sd)

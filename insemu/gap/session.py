@@ -22,14 +22,14 @@ from insemu.gap.candidates.signs import check_signs
 from insemu.gap.candidates.timing import find_times
 from insemu.gap.data.sources import StaticLog
 from insemu.gap.drive.preparation import Flown, Prepared
-from insemu.gap.holdout import DriveScore
+from insemu.gap.holdout import scored
 from insemu.gap.policy import Policy, rules, under
 from insemu.gap.problems.aids import AidReport, check_aids, find_aid_effects
 from insemu.gap.problems.findings import with_effect
 from insemu.gap.problems.joint_estimate import MOST_TURNS, gauss_newton_step
 from insemu.gap.problems.known_effects import all_outliers, drive_without, in_imu_axes, static_without, struck_out
 from insemu.gap.problems.rest import find_static_gap
-from insemu.gap.verdict import Finding, GapReport, Interval, judged, with_half_sample, with_held_out
+from insemu.gap.verdict import Finding, GapReport, judged, with_half_sample, with_held_out
 from insemu.gap.worth import worth_of_early, worth_of_mounting
 from insemu.prepared import left_out
 from insemu.records import AXES, Recording
@@ -199,7 +199,7 @@ def _drive(
     out = replace(out, findings=tuple(with_half_sample(s, measured.imu) for s in out.findings))
     if hold_out:
         say("scoring on held-out fixes")
-        out = _scored(out, held_out(), mounted)
+        out = scored(out, held_out(), mounted, early)
     if not (pictures or measured.aids):
         return out
     after = Flown.of(*(refined or _refined(measured, nominal, out))) if out.findings else first
@@ -391,22 +391,6 @@ def _with_early(report: GapReport, early: list[Finding], mounted: Mounted | None
     )
 
 
-def _scored(report: GapReport, score: DriveScore, mounted: Mounted | None) -> GapReport:
-    """The report with figures on held-out fixes, and on the held-out motion across the vehicle where its mounting was looked at."""
-    if mounted is not None and mounted.dof and math.isfinite(score.before.value):
-        fixes = mounted.dof / 2
-        gain, sd = mounted.gain
-        held = _sum([score.gain, Interval(gain / fixes, (gain - 1.96 * sd) / fixes, (gain + 1.96 * sd) / fixes)])
-        # the motion across the vehicle and the innovations count alike
-        across = [chi_square / mounted.dof for chi_square in mounted.chi_square]
-        burst = score.burst
-        if burst is not None:
-            burst = replace(burst, without=_mean(burst.without, across[1], mounted.dof))
-        before, after = (_mean(i, a, mounted.dof) for i, a in zip((score.before, score.after), across, strict=True))
-        score = DriveScore(before, after, held, burst)
-    return replace(report, gap_before=score.before, gap_after=score.after, held_out=score.gain, burst=score.burst)
-
-
 def _added_up(findings: list[Finding], earlier: Finding) -> list[Finding]:
     """The findings with what was taken off before: added to the same effect where it was found again, else as its own."""
     known = {v.name: v.value for v in earlier.parameters}
@@ -555,20 +539,6 @@ def _confirmed(finding: Finding) -> Finding:
 def _larger(one: float, other: float) -> float:
     """The larger of two numbers that may be missing (NaN)."""
     return float(np.fmax(one, other))
-
-
-def _sum(items: list[Interval]) -> Interval:
-    some = [i for i in items if math.isfinite(i.value)]
-    if not some:
-        return items[0]
-    value = sum(i.value for i in some)
-    half = math.sqrt(sum((0.5 * (i.high - i.low)) ** 2 for i in some))
-    return Interval(value, value - half, value + half)
-
-
-def _mean(index: Interval, other: float, dof: int) -> Interval:
-    sd = 0.5 * math.hypot(index.log_sd * index.value, math.sqrt(2.0 / dof) * other)
-    return Interval.positive(0.5 * (index.value + other), sd)
 
 
 def _pictures(first: Flown, after: Flown, nominal: Nominal) -> dict[str, Any]:

@@ -314,6 +314,29 @@ class Burst:
 
 
 @dataclass(frozen=True)
+class Step:
+    """One step from the nominal to the refined model, on data that was not used for naming.
+
+    Parameters
+    ----------
+    added : tuple of (effect, sensor, axes)
+        What the model has from here on; empty of the nominal model.
+    index : float
+        Gap index with all that was added so far.
+    spread : float
+        Standard deviation of the gap index of a model that is right.
+    """
+
+    added: tuple[tuple[str, str, tuple[str, ...]], ...]
+    index: float
+    spread: float
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
 class InBand:
     """What an axis shows above its motion that is the vehicle's: no finding.
 
@@ -378,6 +401,8 @@ class GapReport(Shown):
         Gain of log score of each aid with findings on its last part, by what its first part names: nats per block.
     burst : Burst, optional
         The fixes on which a large part of ``gap_after`` stands, where there are such.
+    shrink : tuple of Step
+        From the nominal model to the refined one, effect by effect; of drives and flights.
     assumed : tuple of str
         What neither recording nor model states and was estimated from the recording, in words.
     """
@@ -401,6 +426,7 @@ class GapReport(Shown):
     unresolved: tuple[float, ...] = ()
     aids_held_out: Mapping[str, Interval] = field(default_factory=dict)
     burst: Burst | None = None
+    shrink: tuple[Step, ...] = ()
     assumed: tuple[str, ...] = ()
 
     def nees(self, finding: Finding) -> float:
@@ -489,6 +515,7 @@ class GapReport(Shown):
             "gap_index": {"before": self.gap_before.to_json(), "after": self.gap_after.to_json()},
             "held_out": {"gain_nats_per_fix": held["value"], "low": held["low"], "high": held["high"]},
             "burst": None if self.burst is None else self.burst.to_json(),
+            "shrink": [step.to_json() for step in self.shrink],
             "aids_held_out": {kind: gain.to_json() for kind, gain in self.aids_held_out.items()},
             "where_after": [w.to_json() for w in self.after],
             "threshold_nats": self.threshold_nats,

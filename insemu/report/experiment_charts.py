@@ -145,7 +145,8 @@ def error_chart(results: Results) -> Chart:
                 lines.append(
                     Line(f"{design}: 95 % of the realizations", positive(high), colour(d), width=0.7, of=design)
                 )
-        if any(np.isfinite(np.asarray(line.y)).any() for line in lines if not line.of):  # errors, not only what is stated
+        errors = [line.y for line in lines if not line.of]
+        if np.isfinite(np.asarray(errors)).any():
             views.append(View(f"{name}, rms error", f"{name} ({unit})", lines, log_y=True, printed=printed))
     return _over_time(
         "Error growth",

@@ -13,7 +13,7 @@ import numpy as np
 
 from insemu.effects import AID_KINDS, EFFECTS
 from insemu.report.charts import Chart, asset
-from insemu.report.gap_charts import evidence_chart, innovation_chart, spectrum_chart, wavelet_chart
+from insemu.report.gap_charts import evidence_chart, innovation_chart, shrink_chart, spectrum_chart, wavelet_chart
 from insemu.report.page import Block, Card, Code, Folded, Items, Page, Section, Table, Text
 from insemu.report.static import save
 from insemu.units import datasheet
@@ -304,6 +304,15 @@ def _evidence(report: GapReport) -> list[Block]:
     return [evidence_chart(rivals)] if rivals else []
 
 
+def _shrink(report: GapReport) -> list[Block]:
+    """How far the gap index falls with each effect, as a chart and as a table."""
+    if len(report.shrink) < 2:
+        return []
+    words = ["nominal model", *("; ".join(_placed_name(*a) for a in s.added) for s in report.shrink[1:])]
+    rows = [[str(k), w, f"{s.index:.3g}"] for k, (w, s) in enumerate(zip(words, report.shrink, strict=True))]
+    return [shrink_chart(report), Table(("step", "added", "gap index"), rows, "Steps of the chart", left=2)]
+
+
 def _pictures(report: GapReport, after: bool) -> list[Block]:
     """The charts of disagreement, with the nominal model or with the refined one."""
     names = _axes_with_findings(report)
@@ -312,7 +321,7 @@ def _pictures(report: GapReport, after: bool) -> list[Block]:
 
 
 def draw_gap(report: GapReport, folder: str | Path, name: str) -> list[Path]:
-    """Write the page's pictures as PNG and SVG files ``NAME_before``, ``NAME_evidence`` and ``NAME_after`` (``NAME_before_2`` ...).
+    """Write the page's pictures as PNG and SVG files ``NAME_shrink``, ``NAME_before``, ``NAME_evidence`` and ``NAME_after`` (``NAME_before_2`` ...).
 
     Parameters
     ----------
@@ -328,6 +337,7 @@ def draw_gap(report: GapReport, folder: str | Path, name: str) -> list[Path]:
         What was written.
     """
     groups: dict[str, Sequence[Block]] = {
+        "shrink": _shrink(report),
         "before": _pictures(report, False),
         "evidence": _evidence(report),
         "after": _pictures(report, True),
@@ -469,6 +479,7 @@ def render_gap(report: GapReport, folder: str | Path, refined: str = "") -> Path
     if said := shaking_said(report):
         left.append(Text(said))
     sections = [
+        *([Section("How the gap shrinks", shrink)] if (shrink := _shrink(report)) else []),
         *(_suspects(report, names) if report.findings else []),
         Section("Where they disagree", [*_pictures(report, after=False), looked]),
         Section("Agreement with the refined model", [index, *left, *_pictures(report, after=True)]),

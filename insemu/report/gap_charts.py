@@ -120,6 +120,41 @@ def _dots(values: NDArray[Any], names: Sequence[str] = _DIRECTIONS) -> list[Line
     return [Line(name, values[:, k], COLOURS[k], points=True, width=1.0) for k, name in enumerate(names)]
 
 
+def shrink_chart(report: GapReport) -> Chart:
+    """Gap index on data that was not used for naming, from the nominal model to the refined one.
+
+    Parameters
+    ----------
+    report : GapReport
+        With ``shrink``.
+    """
+    y = np.array([step.index for step in report.shrink])
+    x = np.arange(float(y.size))
+    spread = 1.96 * np.array([step.spread for step in report.shrink])
+    lines = [
+        *band("a right model, 19 of 20", (1.0 - spread, 1.0 + spread), GREY, 0),
+        Line("gap index", y, COLOURS[0]),
+        Line("after each step", y, COLOURS[0], points=True, width=7.0, of="gap index"),
+    ]
+    return Chart(
+        "The gap, step by step",
+        "Gap index on data that was not used for naming, as effects are added to the model one after the other: 0 is the nominal model, the table "
+        "has the rest. Grey is where the index of a right model lies.",
+        x,
+        "step",
+        [
+            View(
+                "Gap index",
+                "reduced chi-square",
+                lines,
+                bool(y.max() > 10.0 * y.min()),
+                [(k, f"{k:g}") for k in x.tolist()],
+            )
+        ],
+        group="steps",
+    )
+
+
 def evidence_chart(rivals: Sequence[tuple[str, Sequence[tuple[str, float, bool]]]]) -> Chart:
     """Nats of every rival, finding by finding.
 

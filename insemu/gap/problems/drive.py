@@ -408,7 +408,7 @@ def _held_out(
             plain = Scene.of(came.prepared)
         elif at.noticed or at.late:
             plain = Scene.of(prepare(at.whole, at.believed, at.parts, at.levels))
-        return held_out(plain, first, cut)
+        return held_out(plain, first, cut, scene, at.noticed)
 
 
 def find_dynamic_gap(

@@ -20,7 +20,7 @@ from insemu.gap.candidates.fixes import (
     within,
 )
 from insemu.gap.candidates.robust import excess_of, is_lasting
-from insemu.gap.candidates.shapes import LAGGED, ONCE, PROCESSES, Change, bank, shape_values
+from insemu.gap.candidates.shapes import LAGGED, ONCE, PROCESSES, Change, DriveHypothesis, bank, shape_values
 from insemu.gap.candidates.unexplained import Unexplained
 from insemu.gap.confusion import Repetitions
 from insemu.gap.drive.fix_outliers import FIRST, hardly_followed
@@ -31,7 +31,7 @@ from insemu.gap.holdout import DriveScore, score_drive
 from insemu.gap.hypothesis import Found, class_of
 from insemu.gap.policy import rules
 from insemu.gap.problems.findings import with_process
-from insemu.gap.verdict import Confusable, Finding, Member, Value
+from insemu.gap.verdict import Confusable, Finding, Member, Step, Value
 from insemu.gap.worth import Outage, worth_in_motion, worth_in_noise, worth_of_added
 
 Array = NDArray[np.float64]
@@ -101,16 +101,43 @@ def believing(named: Named, cut: float | None = None) -> tuple[Named, Scene, lis
     return replace(named, found=found), scene, blocks
 
 
-def held_out(scene: Scene, named: Named, cut: float) -> DriveScore:
-    """Gap index before and after and log score gained per fix after ``cut``, where nothing was named.
+def held_out(
+    scene: Scene, named: Named, cut: float, begun: Scene | None = None, noticed: Sequence[Finding] = ()
+) -> DriveScore:
+    """Gap index before and after, step by step as well, and log score gained per fix after ``cut``, where nothing was named.
 
     Parameters
     ----------
     scene, named, cut : Scene, Named, float
-        The recording before the search, what was found in its fixes up to ``cut``, and that time in s.
+        The recording as it came, what was found in its fixes up to ``cut``, and that time in s.
+    begun : Scene, optional
+        The recording in which the search began, where something was taken off before.
+    noticed : sequence of Finding
+        What was taken off of it for the samples' own sake.
     """
     _, final, blocks = believing(named, cut)
-    return score_drive(scene, final, blocks, cut, _of_outliers(scene, named, final, blocks, cut))
+    score = score_drive(scene, final, blocks, cut, _of_outliers(scene, named, final, blocks, cut))
+    one_by_one = [f for f in named.found if f.chosen.change.block is not None and f.chosen.effect not in PROCESSES]
+    others = [f for f in named.found if f not in one_by_one]
+    data = replace(final.data, variance=1.0)
+
+    def step(y: Array, *added: Finding | DriveHypothesis) -> Step:
+        return Step(tuple((f.effect, f.sensor, f.axes) for f in added), float(np.mean(y * y)), math.sqrt(2.0 / y.size))
+
+    def late(at: Scene) -> Array:
+        return at.loop.y.reshape(-1, 6)[at.loop.use][at.rows_t > cut]
+
+    def left(count: int) -> Array:
+        known = [*named.scene.always, *blocks_of(one_by_one[:count])]
+        return data.predictive(known, final.rows_t > cut)[0]
+
+    steps = [step(late(scene))]
+    if begun is not None and begun is not scene:
+        steps.append(step(late(begun), *noticed))
+    if others:
+        steps.append(step(left(0), *(f.chosen for f in others)))
+    steps += [step(left(k), f.chosen) for k, f in enumerate(one_by_one, 1)]
+    return replace(score, shrink=tuple(steps))
 
 
 def _of_outliers(scene: Scene, named: Named, final: Scene, blocks: Sequence[Block], cut: float) -> float:
