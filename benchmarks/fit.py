@@ -17,7 +17,7 @@ import typer
 from scipy import optimize, signal
 
 from insemu.fit import fit
-from insemu.fit.likelihood import fit_mli_pieces
+from insemu.fit.likelihood import Stream, fit_mli_pieces
 from insemu.noise import GM, RW, WN, NoiseModel
 
 N, RATE = 1_000_000, 100.0
@@ -98,7 +98,7 @@ def long_record() -> None:
             yield x
 
     started = time.perf_counter()
-    result = fit_mli_pieces(pieces(), count * piece, rate, NoiseModel.parse("WN() + GM()"), unit="rad/s")
+    result = fit_mli_pieces(Stream(pieces(), count * piece, rate, "rad/s"), NoiseModel.parse("WN() + GM()"))
     seconds = time.perf_counter() - started - drawing
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(

@@ -36,6 +36,7 @@ from insemu.evaluate import (
     CACHE,
     Experiment,
     LinearTwin,
+    Resources,
     analyse_designs,
     previewed,
     run_experiment,
@@ -113,7 +114,7 @@ def grown(path: str, count: int, folder: str) -> None:
     run_experiment(experiment, realizations=1)  # loads what is compiled
     before = private()
     started = time.process_time()
-    results = run_experiment(experiment, realizations=count, workers=1, cache=Path(folder) / CACHE)
+    results = run_experiment(experiment, realizations=count, resources=Resources(workers=1, cache=Path(folder) / CACHE))
     _ = results.total
     flown = time.process_time() - started
     write(results, Path(folder))
@@ -221,15 +222,12 @@ def throughput(trajectory: dict[str, Any], count: int) -> None:
         path = scenario(Path(kept), trajectory=trajectory)
         experiment = Experiment(load(path), path)
         minutes = float(np.ptp(experiment.world.imu.t)) / 60.0
-        ways: dict[str, dict[str, Any]] = {
-            "here": {"workers": 1},
-            "one": {"workers": 1, "executor": one},
-        }
+        ways = {"here": Resources(), "one": Resources(executor=one)}
 
         def seconds(name: str, many: int) -> float:
             started = time.perf_counter()
             if name in ways:
-                run_experiment(experiment, realizations=many, **ways[name])
+                run_experiment(experiment, realizations=many, resources=ways[name])
             else:
                 wait([process.submit(_alone, many // 2) for process in apart])
             return time.perf_counter() - started
@@ -284,9 +282,9 @@ def twin(flights: int) -> None:
     few = min(HELPED, flights)
     started = time.process_time()
     with tempfile.TemporaryDirectory() as kept:
-        results = run_experiment(experiment, realizations=flights, cache=Path(kept))
+        results = run_experiment(experiment, realizations=flights, resources=Resources(cache=Path(kept)))
         per_flight = (time.process_time() - started) / flights
-        first = run_experiment(experiment, realizations=few, cache=Path(kept))
+        first = run_experiment(experiment, realizations=few, resources=Resources(cache=Path(kept)))
     started = time.process_time()
     linear = LinearTwin(experiment)
     made = time.process_time() - started

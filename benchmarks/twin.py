@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
-from insemu.evaluate import Experiment, run_experiment
+from insemu.evaluate import Experiment, Resources, run_experiment
 from insemu.scenario import load
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "table3_synthetic.yaml"
@@ -52,7 +52,9 @@ def cost(*arguments: str) -> tuple[float, float, str]:
 def agreement(rows: list[dict[str, Any]], flights: int) -> None:
     """Means of the preview within the joint intervals of flights and preview, nine cells together at 95 % (Bonferroni)."""
     experiment = Experiment(load(SCENARIO, overrides={"smoother": False}), SCENARIO)
-    results = run_experiment(experiment, realizations=flights, workers=len(os.sched_getaffinity(0)))
+    results = run_experiment(
+        experiment, realizations=flights, resources=Resources(workers=len(os.sched_getaffinity(0)))
+    )
     share = float(stdtrit(flights - 1, 1.0 - 0.025 / len(rows)))
     held = 0
     for r in rows:

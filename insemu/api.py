@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Never, overload
 
@@ -202,31 +201,19 @@ def fit(  # type: ignore[misc]
     >>> print(ins.fit(x, ins.WN(), rate="100 Hz").bears)
     True
     """
-    from insemu.fit import bootstrap_intervals, check_bootstrap, wic
-    from insemu.fit import fit as one
-    from insemu.noise import NoiseModel
+    from insemu.fit import Estimator, bootstrapped, check_bootstrap
 
     if bootstrap:
         check_bootstrap(method, bootstrap)
     series = signals(data, columns=columns, rate=rate, skip=skip, unit=unit, name=name)
-    options: dict[str, Any] = {"wavelet": wavelet, "robust": robust}
-    if method == "gmwm":
-        options |= {"tau_from": si(tau_from, "s"), "tau_to": si(tau_to, "s")} | (
-            {} if robust else {"weighting": weighting}
-        )
-    elif method == "mli":
-        options["pattern"] = pattern
-    out: dict[str, FitResult] = {}
-    for s, rng in zip(series, np.random.default_rng(seed).spawn(len(series)), strict=True):
-        given = options | ({"rng": rng} if method in ("gmwm", "indirect") else {})
-        if start is not None:
-            given["start"] = NoiseModel.parse(start, s.unit) if isinstance(start, str) else start
-        result = one(s, model, method, **given)
-        if bootstrap:
-            result = replace(
-                bootstrap_intervals(result, bootstrap, rng), criterion=wic(result, bootstrap=bootstrap, rng=rng)
-            )
-        out[s.name] = result
+    tau = {"tau_from": si(tau_from, "s"), "tau_to": si(tau_to, "s")}
+    estimator = Estimator(
+        method=method, robust=robust, wavelet=wavelet, weighting=weighting, pattern=pattern, start=start, seed=seed, **tau
+    )  # fmt: skip
+    out = estimator.fit(series, model)
+    if bootstrap:
+        children = estimator.generators(len(out))
+        out = {axis: bootstrapped((r, bootstrap, c)) for (axis, r), c in zip(out.items(), children, strict=True)}
     return next(iter(out.values())) if isinstance(data, Series | np.ndarray) else ByAxis(out)
 
 
@@ -351,10 +338,12 @@ def run(
     workers : int
         Realizations at a time.
     """
-    from insemu.evaluate import Experiment, run_experiment
+    from insemu.evaluate import Experiment, Resources, run_experiment
 
     file = str(scenario) if isinstance(scenario, str | Path) else None
-    return run_experiment(Experiment(load(scenario, realizations=realizations, seed=seed), file), workers=workers)
+    return run_experiment(
+        Experiment(load(scenario, realizations=realizations, seed=seed), file), resources=Resources(workers=workers)
+    )
 
 
 def emulate(
@@ -544,9 +533,9 @@ def referee(
     filters: str | Sequence[str] = (),
     *,
     worlds: Sequence[str] = (),
-    realizations: int = 48,
-    seed: int = 1,
-    false_alarm: float = 0.01,
+    realizations: int | None = None,
+    seed: int | None = None,
+    false_alarm: float | None = None,
     workers: int = 1,
 ) -> list[Judgement]:
     """Whether filters state their own errors, as ``insemu referee`` says it; nothing is written.
@@ -557,18 +546,22 @@ def referee(
         Names of families or adapters, ``FILE.py:CLASS``, ``MODULE:CLASS``, or folders of estimates; all families unless given.
     worlds : sequence of str
         Only these; all unless given.
-    realizations, seed, false_alarm, workers
+    realizations, seed, false_alarm
         See :func:`insemu.referee.referee`.
+    workers : int
+        Threads.
 
     Raises
     ------
     InputError
         No such filter or world.
     """
+    from insemu.evaluate import Resources
     from insemu.referee import referee as judge
 
+    given = {"realizations": realizations, "seed": seed, "false_alarm": false_alarm}
     asked = [filters] if isinstance(filters, str) else list(filters)
-    return judge(asked, names=worlds, realizations=realizations, seed=seed, false_alarm=false_alarm, workers=workers)
+    return judge(asked, names=worlds, resources=Resources(workers), **given)  # type: ignore[arg-type]
 
 
 def plot(result: Any, axes: Drawing | None = None, *, view: int | str = 0) -> Drawing | Figure:

@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 
 from insemu.augment import Extras, augment
+from insemu.emulate import TrueStates
 from insemu.errors import InputError
 from insemu.evaluate import consistency as c
 from insemu.filters import FilterOptions, FixTable, LooselyCoupledEKF, run_filter
@@ -245,8 +246,8 @@ def test_errors_of_the_axes_are_sums_of_states_and_blocks_their_squares():
     root = rng.standard_normal((2, 9 + m, 9 + m))
     P = root @ root.transpose(0, 2, 1)
     result = SimpleNamespace(imu_states=estimate)
-    given = (result, a, rows, P, rates[rows], axes[rows], true[rows])
-    found = c.sensor_errors(*given, names)
+    given = (result, a, rows, P, rates[rows])
+    found = c.sensor_errors(*given, TrueStates(axes[rows], true[rows], names))
     C = np.zeros((2, 6, m))
     for i, axis in enumerate(f"{triad}_{letter}" for triad in ("gyro", "accel") for letter in "xyz"):
         C[:, i, names.index(f"{axis}.RC1")] = 1.0
@@ -257,7 +258,7 @@ def test_errors_of_the_axes_are_sums_of_states_and_blocks_their_squares():
     spread = np.array([C[k] @ P[k, 9:, 9:] @ C[k].T for k in range(2)])
     np.testing.assert_allclose(found.axes_covariance, spread, rtol=1e-9)
     np.testing.assert_allclose(found.states, (estimate - true)[rows])
-    assert np.isnan(c.sensor_errors(*given, names[::-1]).states).all()
+    assert np.isnan(c.sensor_errors(*given, TrueStates(axes[rows], true[rows], names[::-1])).states).all()
     errors = rng.standard_normal((2, 9))
     blocks = c.block_nees(errors, P, found)
     for k in range(2):

@@ -64,9 +64,8 @@ def test_the_response_is_the_stated_polynomial() -> None:
     want[5] -= 1.3 * x[5] * x[1]
     want[1] += 0.4 * levels[1] * x[2]
     want[4] += 2.0 * levels[0] * x[0]
-    passes.respond(
-        signal, mounting, matrix, asymmetry, square, cube, offset, places, factors, warm, warm_factors, levels
-    )
+    sums = mounting, matrix, asymmetry, square, cube, offset
+    passes.respond(signal, passes.ResponseArrays(*sums, places, factors, warm, warm_factors, levels))
     np.testing.assert_allclose(signal, want, rtol=1e-11, atol=1e-12)
 
 

@@ -129,6 +129,6 @@ def test_the_drift_of_an_acceleration_does_not_begin_with_one_sample() -> None:
     ("coefficient", "sd", "value", "of_value"), [(0.09, 0.006, 0.3, 0.01), (-0.01, 0.04, 0.0, 0.1)]
 )
 def test_a_coefficient_of_a_power_is_told_as_its_parameter(coefficient, sd, value, of_value) -> None:
-    column = Column.of(EFFECTS["gnss_position_filter"], "gnss", "tau", (), power=2.0)
+    column = Column.of(EFFECTS["gnss_position_filter"], "gnss", "tau", ()).raised(2.0)
     assert column.scale == pytest.approx(0.2**2)
     assert column.parameter(coefficient, sd) == pytest.approx((value, of_value))

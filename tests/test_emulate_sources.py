@@ -12,6 +12,7 @@ from benchmarks.emulate_accuracy import outage_windows
 from insemu import earth, rotation
 from insemu.emulate import (
     TRAJECTORIES,
+    MotionSource,
     Mounting,
     SmoothPath,
     Track,
@@ -192,7 +193,7 @@ def test_waypoint_files(tmp_path):
     ]
     line.write_text(json.dumps({"type": "FeatureCollection", "features": points}))
     np.testing.assert_allclose(read_waypoints(line).speed, 10.0)
-    flight = load_flight(waypoints=csv, vehicle="car").flight
+    flight = load_flight(MotionSource(waypoints=csv, vehicle="car")).flight
     assert flight.path.duration > 150
 
 
@@ -245,7 +246,7 @@ def test_wrong_waypoints_are_named(tmp_path, text, message):
 def test_waypoints_that_look_odd_are_warned_about(tmp_path, text, message):
     file = tmp_path / "way.csv"
     file.write_text(text)
-    made = load_flight(waypoints=file)
+    made = load_flight(MotionSource(waypoints=file))
     assert len(made.warnings) == 1
     assert re.search(message, made.warnings[0])
 
@@ -288,11 +289,11 @@ def test_legs_too_short_for_a_wing_are_refused():
 
 def test_sources_are_one_at_a_time(tmp_path):
     with pytest.raises(InputError, match="found 'builtin' and 'track'"):
-        load_flight(builtin="static", track=tmp_path / "x.csv")
+        load_flight(MotionSource(builtin="static", track=tmp_path / "x.csv"))
     with pytest.raises(InputError, match="found none"):
-        load_flight()
+        load_flight(MotionSource())
     with pytest.raises(InputError, match="no such waypoint file"):
-        load_flight(waypoints=tmp_path / "absent.csv")
+        load_flight(MotionSource(waypoints=tmp_path / "absent.csv"))
     with pytest.raises(InputError, match=r"unknown vehicle 'kar'.*did you mean 'car'"):
         smooth_track(some_track(), "kar")
 
@@ -435,7 +436,7 @@ def test_track_files(tmp_path):
     back = read_track(file)
     np.testing.assert_allclose(earth.position_difference(back.llh, track.llh), 0, atol=1e-3)
     np.testing.assert_allclose(back.vel_ned, track.vel_ned, atol=1e-9)
-    made = load_flight(track=file)
+    made = load_flight(MotionSource(track=file))
     assert made.track is not None and made.flight.path.duration == pytest.approx(299.5)
     rows = [f"2026-05-03T08:00:{k:02d}Z;{46.5 + 1e-4 * k};7.25;{400 + k};9" for k in range(20)]
     file.write_text("\n".join(["UTC;Latitude;Longitude;Altitude MSL (m);Sats", *rows]))  # a logger's own names
@@ -494,11 +495,11 @@ def test_motion_that_no_machine_holds_is_refused_with_an_estimate(tmp_path, row,
     file = tmp_path / "motion.csv"
     file.write_text(START + row + "\n")
     with pytest.raises(InputError, match=message):
-        load_flight(motion=file)
+        load_flight(MotionSource(motion=file))
 
 
 def test_sizes_are_checked_before_work_begins(tmp_path):
-    flight = load_flight(builtin="static").flight
+    flight = load_flight(MotionSource(builtin="static")).flight
     with pytest.raises(InputError, match=r"1200 s at 1e\+09 Hz asks for 1.2e\+12 samples"):
         ideal_imu(flight, 1e9)
     ideal = ideal_imu(flight, 1.0)
@@ -528,10 +529,10 @@ def test_headings_may_name_units_in_two_ways(tmp_path):
 
 
 def test_a_table_at_rest_lasts_as_long_as_asked_and_a_file_that_is_shorter_is_refused(tmp_path) -> None:
-    assert load_flight(builtin="static", duration_s=2400.0).flight.path.duration == 2400.0
-    assert load_flight(builtin="helicopter_mapping", duration_s=1200.0).flight.path.duration == 1200.0
+    assert load_flight(MotionSource(builtin="static", duration_s=2400.0)).flight.path.duration == 2400.0
+    assert load_flight(MotionSource(builtin="helicopter_mapping", duration_s=1200.0)).flight.path.duration == 1200.0
     file = tmp_path / "motion.csv"
     file.write_text(START + "1,0,0,0,0,0,0,20,1\n")
-    assert load_flight(motion=file, duration_s=20.0).flight.path.duration == 20.0
+    assert load_flight(MotionSource(motion=file, duration_s=20.0)).flight.path.duration == 20.0
     with pytest.raises(InputError, match=r"motion.csv: the motion ends after 20 s, but a duration of 40 s"):
-        load_flight(motion=file, duration_s=40.0)
+        load_flight(MotionSource(motion=file, duration_s=40.0))

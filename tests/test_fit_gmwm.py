@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from insemu.errors import InputError
 from insemu.fit import FitResult, fit, save
 from insemu.fit.covariance import model_covariance
-from insemu.fit.gmwm import finite_record_bias, fit_curve
+from insemu.fit.gmwm import Weights, finite_record_bias, fit_curve
 from insemu.fit.minimum import Problem, Solution
 from insemu.fit.structure import Structure, natural_jacobian
 from insemu.noise import AR, AR1, BI, DR, GM, MA, QN, RW, SIN, WN, NoiseModel, load
@@ -54,7 +54,7 @@ def test_from_automatic_starts_the_objective_is_no_worse_than_the_peer_started_a
     assert ours <= best * (1.0 + 1e-7)
     assert result.converged
     curve = wavelet_variance(x, entry["freq_hz"], levels=count)
-    again = fit_curve(curve, result.structure, widths=width)
+    again = fit_curve(curve, result.structure, weighting=Weights(widths=width))
     assert again.objective <= ours * (1.0 + 1e-9)
     assert_allclose(fit_curve(curve, result.structure).objective, again.objective, rtol=1e-6)
 

@@ -13,9 +13,9 @@ from insemu.errors import InputError
 from insemu.fit import fit
 from insemu.fit.burg import burg, choose_order
 from insemu.fit.em import StateSpace, expectation_maximization, fit_em, maximise
-from insemu.fit.gmwm import fit_curve
+from insemu.fit.gmwm import Weights, fit_curve
 from insemu.fit.indirect import bootstrap_intervals, match_curve
-from insemu.fit.likelihood import _Problem, fit_mli_pieces, integrate, sampling_pattern
+from insemu.fit.likelihood import Stream, _Problem, fit_mli_pieces, integrate, sampling_pattern
 from insemu.fit.robust import _change, _Prediction, rejection_limit
 from insemu.fit.selection import wic
 from insemu.noise import AR, AR1, BI, DR, GM, QN, RW, WN, NoiseModel, NotStationary
@@ -190,7 +190,7 @@ def test_a_record_in_pieces_gives_the_same_as_in_memory():
     x = (WN(1e-3) + GM(2e-3, 0.05)).simulate(30001, 0.1, rng) + 9.8
     structure = NoiseModel((WN(), GM()))
     whole = fit(x, structure, "mli", rate_hz=10.0, points=3000)
-    parts = fit_mli_pieces(np.array_split(x, [7, 5000, 5001, 20000]), x.size, 10.0, structure, points=3000)
+    parts = fit_mli_pieces(Stream(np.array_split(x, [7, 5000, 5001, 20000]), x.size, 10.0), structure, points=3000)
     assert parts.n_samples == x.size
     for e in whole.parameters:
         assert_allclose(parts[e.label].value, e.value, rtol=2e-3)  # the search stops at a hundredth of a standard error
@@ -420,8 +420,9 @@ def test_weights_by_bootstrap_are_those_of_the_closed_form():
     x = (WN(0.1) + RW(0.05)).simulate(4000, 0.1, rng)
     curve = wavelet_variance(x, 10.0)
     structure = NoiseModel((WN(), RW()))
-    closed = fit_curve(curve, structure, weighting="asymptotic", steps=1)
-    drawn = fit_curve(curve, structure, weighting="bootstrap", steps=1, bootstrap=400, rng=np.random.default_rng(6))
+    closed = fit_curve(curve, structure, weighting=Weights("asymptotic", steps=1))
+    weights = Weights("bootstrap", steps=1, replicates=400, rng=np.random.default_rng(6))
+    drawn = fit_curve(curve, structure, weighting=weights)
     assert_allclose(drawn["WN1.N"].value, closed["WN1.N"].value, rtol=5e-3)
     assert abs(drawn["RW1.K"].value - closed["RW1.K"].value) < closed["RW1.K"].standard_error
 

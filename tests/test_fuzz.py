@@ -208,7 +208,10 @@ def test_every_count_has_a_limit() -> None:
     counts = {}
     for command, found in get_command(app).commands.items():  # type: ignore[attr-defined]
         for name, parameter in inspect.signature(inspect.unwrap(found.callback)).parameters.items():
-            if parameter.annotation in ("int", "int | None") and not {name, f"{name} of {command}"} & set(_NO_COUNTS):
+            if str(parameter.annotation) in ("int", "<class 'int'>", "int | None") and not {
+                name,
+                f"{name} of {command}",
+            } & set(_NO_COUNTS):
                 counts[f"{command}: {name}"] = parameter.default.max
     assert len(counts) > 15
     assert not [name for name, limit in counts.items() if limit is None]

@@ -22,6 +22,8 @@ from architecture_drawing import arrows, drawing, floors  # noqa: E402
 
 #: Longest module and longest function, in lines; functions without docstring, compiled kernels left out.
 MODULE_LINES, FUNCTION_LINES = 600, 80
+#: Most functions of more than twelve arguments and of eight or more, compiled ones included; a function of the door says every option of a command.
+ABOVE_TWELVE, EIGHT_OR_MORE = 3, 31
 #: From how many arguments on a public function says in a Parameters section what they are.
 DOCUMENTED_ARGUMENTS = 3
 
@@ -84,6 +86,11 @@ def long_modules() -> set[str]:
 def long_functions() -> set[str]:
     """Functions of more lines than allowed, kernels left out."""
     return {f.place for f in functions() if not f.compiled and f.lines > FUNCTION_LINES}
+
+
+def wide_functions(arguments: int) -> set[str]:
+    """Functions of so many arguments or more, those of the door left out: values that travel together are one object."""
+    return {f.place for f in functions() if f.arguments >= arguments and not f.place.startswith("api.py")}
 
 
 def undocumented() -> set[str]:
@@ -154,6 +161,12 @@ def stale_imports() -> set[str]:
 )
 def test_nothing_exceeds_a_limit(check: Callable[[], set[str]]) -> None:
     assert sorted(check()) == [], check.__doc__
+
+
+def test_few_functions_take_many_arguments() -> None:
+    above, many = wide_functions(13), wide_functions(8)
+    assert len(above) <= ABOVE_TWELVE, sorted(above)
+    assert len(many) <= EIGHT_OR_MORE, sorted(many)
 
 
 def test_every_room_has_its_paragraph_floor_by_floor() -> None:

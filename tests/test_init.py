@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import insemu
 from insemu import earth, noise, yamlfile
 from insemu.cli import app
-from insemu.emulate import SmoothPath, built_in, load_flight
+from insemu.emulate import MotionSource, SmoothPath, built_in, load_flight
 from insemu.errors import InputError
 from insemu.records import AXES
 from insemu.scenario import (
@@ -174,10 +174,12 @@ def test_a_scenario_runs_of_whatever_a_recorder_or_a_planner_wrote(tmp_path) -> 
     def flown(name: str) -> tuple[SmoothPath, tuple[str, ...]]:
         asked = load(tmp_path / f"{name}.yaml").trajectory
         found = load_flight(
-            track=None if asked.track is None else tmp_path / asked.track,
-            waypoints=None if asked.waypoints is None else tmp_path / asked.waypoints,
-            speed=asked.speed,
-            max_gap_s=asked.max_gap,
+            MotionSource(
+                track=None if asked.track is None else tmp_path / asked.track,
+                waypoints=None if asked.waypoints is None else tmp_path / asked.waypoints,
+                speed=asked.speed,
+                max_gap_s=asked.max_gap,
+            )
         )
         return found.flight.path, found.warnings
 

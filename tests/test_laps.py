@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from insemu import earth
-from insemu.emulate import Mounting, built_in, ideal_imu, ideal_stretches, load_flight
+from insemu.emulate import MotionSource, Mounting, built_in, ideal_imu, ideal_stretches, load_flight
 
 
 def test_laps_go_on_from_each_other() -> None:
     """A lap is the motion turned by what the heading changed and moved by where it ended; nothing jumps between laps."""
     once = built_in("urban_drive_2").path
-    path = load_flight(builtin="urban_drive_2", duration_s=2.5 * once.duration).flight.path
+    path = load_flight(MotionSource(builtin="urban_drive_2", duration_s=2.5 * once.duration)).flight.path
     assert path.end == 3 * once.duration
     turn = once.attitude(once.end)[2] - once.attitude(once.start)[2]
     c, s = np.cos(2 * turn), np.sin(2 * turn)

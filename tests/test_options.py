@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
 from typer.main import get_command
+from typer.testing import CliRunner
 
 from benchmarks.trial.__main__ import app as trial
 from insemu import units
 from insemu.cli import app
-from insemu.cli.options import ARGUMENTS, OPTIONS, SHORT
+from insemu.cli.options import ARGUMENTS, OPTIONS, SHORT, Arguments, argument, option, spread
 
 ROOT = Path(__file__).resolve().parent.parent
 COMMANDS: dict[str, Any] = dict(get_command(app).commands)  # type: ignore[attr-defined]
@@ -52,6 +54,41 @@ def test_quantities_are_text_with_the_unit_that_the_table_shows() -> None:
             assert units.parse(example, example.split()[1]) > 0
             given = p.default if isinstance(p.default, tuple) else (p.default,)
             assert all(isinstance(text, str | None) for text in given), (command, p.opts[0])
+
+
+class Inner(Arguments):
+    """Options that commands share."""
+
+    rate: str = option("--rate", "")
+    skip: str = option("--skip", "0 s")
+
+
+class Whole(Arguments):
+    """Of a command."""
+
+    log: str = argument("LOG")
+    read: Inner
+    seed: int = option("--seed", 3)
+
+
+def test_fields_of_one_object_are_options_in_their_order() -> None:
+    """Those of an object inside stand in its place, and a command gets all of them as they were given."""
+    got: list[Whole] = []
+
+    def command(args: Whole) -> None:
+        """Take them."""
+        got.append(args)
+
+    made = typer.Typer()
+    made.command()(spread(command))
+    assert [p.name for p in get_command(made).params if p.name in spread(command).__signature__.parameters] == [  # type: ignore[attr-defined]
+        "log",
+        "rate",
+        "skip",
+        "seed",
+    ]
+    assert CliRunner().invoke(made, ["a.npz", "--skip", "2 s", "--seed", "5"]).exit_code == 0
+    assert got == [Whole(log="a.npz", read=Inner(rate="", skip="2 s"), seed=5)]
 
 
 def written() -> list[tuple[str, str]]:

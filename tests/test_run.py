@@ -19,7 +19,7 @@ import yaml
 
 from insemu.cli import main
 from insemu.errors import InputError
-from insemu.evaluate import Experiment, run_experiment
+from insemu.evaluate import Experiment, Resources, run_experiment
 from insemu.evaluate.folder import only_writer
 from insemu.scenario import load
 
@@ -121,8 +121,8 @@ def test_what_can_hardly_be_meant_is_said(tmp_path: Path) -> None:
 
 def test_realizations_are_the_same_alone_in_parallel_and_among_more(tmp_path: Path) -> None:
     path = write(tmp_path)
-    few = run_experiment(Experiment(load(path), path), realizations=2, workers=1)
-    more = run_experiment(Experiment(load(path), path), realizations=4, workers=2)
+    few = run_experiment(Experiment(load(path), path), realizations=2, resources=Resources(workers=1))
+    more = run_experiment(Experiment(load(path), path), realizations=4, resources=Resources(workers=2))
     np.testing.assert_array_equal(few.error, more.error[:, :2])
     other = run_experiment(Experiment(load(path, overrides={"seed": 4}), path), realizations=2)
     assert not np.array_equal(few.error, other.error)
@@ -182,7 +182,9 @@ def test_an_interrupted_run_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPa
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_experiment(Experiment(load(path), path), realizations=4, cache=cache, progress=interrupt)
+        run_experiment(
+            Experiment(load(path), path), realizations=4, resources=Resources(cache=cache, progress=interrupt)
+        )
     experiment = Experiment(load(path), path)
     kept = sorted((cache / experiment.digest).iterdir())
     assert len(kept) >= 2
@@ -194,10 +196,10 @@ def test_an_interrupted_run_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         kept[0].write_bytes(damaged)
         said: list[str] = []
         flown.clear()
-        resumed = run_experiment(experiment, realizations=len(kept), cache=cache, say=said.append)
+        resumed = run_experiment(experiment, realizations=len(kept), resources=Resources(cache=cache, say=said.append))
         assert flown == [int(kept[0].name)]
         assert len(said) == 1 and "is damaged" in said[0]
-    resumed = run_experiment(experiment, realizations=4, cache=cache)
+    resumed = run_experiment(experiment, realizations=4, resources=Resources(cache=cache))
     whole = run_experiment(Experiment(load(path), path), realizations=4)
     # the same to rounding: vector lanes of the platform's mathematics depend on how memory happens to be aligned
     np.testing.assert_allclose(resumed.error, whole.error, rtol=1e-9, atol=1e-12)

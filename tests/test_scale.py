@@ -17,7 +17,7 @@ from insemu.cli import main
 from insemu.cluster import cluster
 from insemu.compiled import compiled_beside, wait_for_kernels
 from insemu.errors import InputError
-from insemu.evaluate import Experiment, Shard, kernels, run_experiment, running
+from insemu.evaluate import Experiment, Resources, Shard, kernels, run_experiment, running
 from insemu.evaluate import write as write_results
 from insemu.evaluate.folder import TIMING, only_writer
 from insemu.scenario import load
@@ -62,7 +62,9 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def fly(path: Path, out: Path, *, workers: int) -> None:
-    write_results(run_experiment(Experiment(load(path), path), workers=workers, cache=out / "cache"), out)
+    write_results(
+        run_experiment(Experiment(load(path), path), resources=Resources(workers=workers, cache=out / "cache")), out
+    )
 
 
 @pytest.fixture(scope="module")

@@ -199,9 +199,9 @@ def test_autocovariances_of_differences_are_sums_over_samples(kind: str, order: 
     out = np.empty(lags.size)
     number = {"QN": 0, "WN": 1, "GM": 2, "slow GM": 2, "RW": 3}[kind]
     taps = {2: [6.0, -4.0, 1.0], 3: [20.0, -15.0, 6.0, -1.0]}[order]
-    _covariance_kernel.unit_covariances(
-        number, tc, np.array(steps), lags, np.array([0, n, 2 * n, 3 * n]), np.array(taps), averaged, out
-    )
+    ends = np.repeat([0, n, 2 * n, 3 * n], [1, 2, 2, 2])  # no grids for the third cumulant
+    of = _covariance_kernel.Differences(np.array(steps), np.ones(3, np.int64), n, np.array(taps), lags, ends)
+    _covariance_kernel.unit_covariances(number, tc, of, averaged, out)
     for j, m in enumerate(steps):
         wanted = _sequence(kind[-2:], tc, _weights(order, m, averaged), n - 1)
         if kind == "QN" and not averaged:

@@ -26,7 +26,7 @@ from insemu.emulate.dynamics import Levels, Line, MotionSpectrum, Regime, physic
 from insemu.emulate.flight import origin_at
 from insemu.emulate.waypoints import Waypoints, route
 from insemu.errors import InputError
-from insemu.evaluate import Experiment, run_experiment
+from insemu.evaluate import Experiment, Resources, run_experiment
 from insemu.records import Sampling
 from insemu.scenario import load
 from insemu.units import STANDARD_GRAVITY as G
@@ -455,7 +455,7 @@ MATCHED = 5e-6
 def assert_matched(tmp_path, preset, builtin, runs):
     """NEES of the nine navigation errors at four times, one of them the end of an outage, and NIS of all fixes, inside exact bounds."""
     file = scenario_of(tmp_path, preset, builtin, runs)
-    results = run_experiment(Experiment(load(file), file), workers=1)
+    results = run_experiment(Experiment(load(file), file), resources=Resources(workers=1))
     at = np.searchsorted(results.t, [60.0, 120.0, 180.0, 238.0])
     assert results.total.count == runs  # means over all of them, of which results keep a few
     means = results.total.mean("nees", 0)[at] / 9.0

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.papers.exhibit import Cell
-from insemu.evaluate import CACHE, Experiment, Results, run_experiment, within_outage
+from insemu.evaluate import CACHE, Experiment, Resources, Results, run_experiment, within_outage
 from insemu.scenario import load
 
 #: Where flown realizations are kept; set by the command.
@@ -28,7 +28,7 @@ class Run:
 def scenario_run(path: str, variant: str | None = None) -> Run:
     """Fly a scenario (or take what was flown before)."""
     experiment = Experiment(load(path, variant=variant), path)
-    results = run_experiment(experiment, cache=FOLDER / CACHE)
+    results = run_experiment(experiment, resources=Resources(cache=FOLDER / CACHE))
     mean, largest, end = {}, {}, {}
     for d, name in enumerate(results.names):
         inside = [results.error[d][:, within_outage(results.t, *o), :2] for o in results.outages]

@@ -13,6 +13,7 @@ from typing import Any
 import typer
 import typer.core
 
+from insemu.cli.options import spread
 from insemu.errors import InputError
 
 #: Commands in the order of ``insemu --help``; each is the function ``command`` of the module of its name.
@@ -70,7 +71,7 @@ class _Command(typer.core.TyperCommand):
 for _name in COMMANDS:
     _command = import_module(f"insemu.cli.{_name.replace('-', '_')}").command
     _whole = " ".join(_command.__doc__.partition("\n\n")[0].split())  # typer would cut it
-    app.command(_name, short_help=_whole, cls=_Command)(_command)
+    app.command(_name, short_help=_whole, cls=_Command)(spread(_command))
 
 
 def main(argv: list[str] | None = None, commands: typer.Typer = app) -> None:

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from insemu.cli.logs import hertz
-from insemu.cli.options import argument, option
+from insemu.cli.options import Arguments, argument, option
 from insemu.cli.printing import print_json
 from insemu.errors import InputError, nearest
 
@@ -19,33 +19,37 @@ if TYPE_CHECKING:
     from insemu.records import Series
 
 
-def command(
+class ArrayArguments(Arguments):
+    """Of ``insemu array``."""
+
     files: list[str] = argument(
         "LOG...",
         "Log at rests, one per IMU and sampled together, or one log whose columns name the IMU (gx_1, imu2_gyro_x).",
-    ),
+    )
     model: str = option(
         "--model", ..., 'Structure of every axis, for example "WN() + GM()"; shared=NAME is one in all IMUs.'
-    ),
+    )
     scenario: str = option(
         "--scenario",
         "shared_process",
         "Flight with outages: a scenario file, or one that comes with insemu. Its first design says how the filter runs.",
-    ),
+    )
     plus: str = option(
         "--plus",
         "",
         'What every IMU has in addition to its fit: "gyro=RC(sigma=0.1 deg/s), accel=RC(sigma=5 mg)", a turn-on bias.',
-    ),
-    rate: str = option("--rate", ""),
-    skip: str = option("--skip", "0 s"),
-    take: str = option("--take", "metres"),
-    out: str = option("--output", "", "Write the virtual sensor's models (YAML) for a scenario."),
-    log: str = option("--log", "", "Write the virtual sensor's static log (.npz or .csv), for insemu fit."),
-    page: str = option("--page", ""),
-    seed: int = option("--seed", 0, "Seed of the draws behind the intervals."),
-    as_json: bool = option("--json", False),
-) -> None:
+    )
+    rate: str = option("--rate", "")
+    skip: str = option("--skip", "0 s")
+    take: str = option("--take", "metres")
+    out: str = option("--output", "", "Write the virtual sensor's models (YAML) for a scenario.")
+    log: str = option("--log", "", "Write the virtual sensor's static log (.npz or .csv), for insemu fit.")
+    page: str = option("--page", "")
+    seed: int = option("--seed", 0, "Seed of the draws behind the intervals.")
+    as_json: bool = option("--json", False)
+
+
+def command(args: ArrayArguments) -> None:
     """Weigh the IMUs of an array: equally, by variance, scale-wise, and for the fewest metres at outage end."""
     import numpy as np
 
@@ -55,31 +59,31 @@ def command(
     from insemu.scenario import load, located
 
     names = {"metres": METRES, "scale-wise": SCALE_WISE, "inverse": INVERSE, "equal": EQUAL}
-    if take not in names:
-        raise InputError(f"found '{take}'" + nearest(take, names), where="--take")
-    if log and Path(log).suffix not in (".npz", ".csv"):
-        raise InputError(f"found the suffix '{Path(log).suffix}', expected .npz or .csv", where="--log")
-    beside = _plus(plus)
-    path = located(scenario)
+    if args.take not in names:
+        raise InputError(f"found '{args.take}'" + nearest(args.take, names), where="--take")
+    if args.log and Path(args.log).suffix not in (".npz", ".csv"):
+        raise InputError(f"found the suffix '{Path(args.log).suffix}', expected .npz or .csv", where="--log")
+    beside = _plus(args.plus)
+    path = located(args.scenario)
     flight = Flight(load(path), path)
-    console = Console(stderr=as_json)
-    logs = _read(files, rate, skip)
+    console = Console(stderr=args.as_json)
+    logs = _read(args.files, args.rate, args.skip)
     with Console(stderr=True).status("reading") as status:
         say = status.update if console.is_terminal else lambda text: typer.echo(text, err=True)
-        found = weigh(logs, model, flight, plus=beside, say=say, rng=np.random.default_rng(seed))
-    if as_json:
+        found = weigh(logs, args.model, flight, plus=beside, say=say, rng=np.random.default_rng(args.seed))
+    if args.as_json:
         print_json(found.to_json(), allow_nan=False)
     else:
         _tell(found, console)
-    if log:
-        write_log(Path(log), found.virtual(names[take]))
-        console.print(f"log of the virtual sensor: {log}")
-    if out:
-        write(found.fitted(model, names[take]), out, console)
-    if page:
+    if args.log:
+        write_log(Path(args.log), found.virtual(names[args.take]))
+        console.print(f"log of the virtual sensor: {args.log}")
+    if args.out:
+        write(found.fitted(args.model, names[args.take]), args.out, console)
+    if args.page:
         from insemu.report.array import render_array
 
-        console.print(f"page: {render_array(found, page, source=' '.join(files))}")
+        console.print(f"page: {render_array(found, args.page, source=' '.join(args.files))}")
 
 
 def _read(files: list[str], rate: str, skip: str) -> dict[str, dict[str, Series]]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from insemu.cli.logs import hertz
-from insemu.cli.options import argument, option
+from insemu.cli.options import Arguments, argument, option
 from insemu.cli.printing import counting, print_json, print_table, print_text
 
 if TYPE_CHECKING:
@@ -18,18 +18,22 @@ if TYPE_CHECKING:
 ALARM = 0.01
 
 
-def command(
-    file: str = argument("LOG"),
-    rate: str = option("--rate", ""),
-    columns: list[str] | None = option("--columns", None),
-    robust: bool = option("--robust", False, "Read the coefficients off the robust curve."),
-    wavelet: str = option("--wavelet", "haar"),
-    overlay: bool = option("--overlay", True),
-    beside: str = option("--beside", ""),
-    same_as: str = option("--same-as", ""),
-    out: str = option("--output", "", "Folder for page, figures and JSON; default results/characterise_NAME."),
-    as_json: bool = option("--json", False, "Print JSON on standard output; files are written only with --output."),
-) -> None:
+class CharacteriseArguments(Arguments):
+    """Of ``insemu characterise``."""
+
+    file: str = argument("LOG")
+    rate: str = option("--rate", "")
+    columns: list[str] | None = option("--columns", None)
+    robust: bool = option("--robust", False, "Read the coefficients off the robust curve.")
+    wavelet: str = option("--wavelet", "haar")
+    overlay: bool = option("--overlay", True)
+    beside: str = option("--beside", "")
+    same_as: str = option("--same-as", "")
+    out: str = option("--output", "", "Folder for page, figures and JSON; default results/characterise_NAME.")
+    as_json: bool = option("--json", False, "Print JSON on standard output; files are written only with --output.")
+
+
+def command(args: CharacteriseArguments) -> None:
     """Characterise a static log: variances, spectrum, what can be read off them, and what is wrong with the log."""
     import json
     from pathlib import Path
@@ -40,27 +44,31 @@ def command(
     from insemu.logs import characterise_log, open_log, related_axes
     from insemu.whole import put
 
-    console = Console(stderr=as_json)
-    rate_hz = hertz(rate)
-    wanted = column_names(columns)
-    others = read_curves(beside) if beside else []
-    announce(file, rate_hz, refuse=False)
-    log = open_log(file, rate_hz)
+    console = Console(stderr=args.as_json)
+    rate_hz = hertz(args.rate)
+    wanted = column_names(args.columns)
+    others = read_curves(args.beside) if args.beside else []
+    announce(args.file, rate_hz, refuse=False)
+    log = open_log(args.file, rate_hz)
     with counting(Console(stderr=True), "characterising", len(wanted or log.names)) as finished:
-        axes = characterise_log(log, wanted, from_robust=robust, wavelet=wavelet, progress=finished)
+        axes = characterise_log(log, wanted, from_robust=args.robust, wavelet=args.wavelet, progress=finished)
     together = related_axes(log, [axis.name for axis in axes])
     content: dict[str, Any] = {"axes": {axis.name: axis.to_json() for axis in axes}, "related_axes": together}
-    compared = compare(axes, characterise_log(open_log(same_as, rate_hz), wanted, wavelet=wavelet)) if same_as else {}
+    compared = (
+        compare(axes, characterise_log(open_log(args.same_as, rate_hz), wanted, wavelet=args.wavelet))
+        if args.same_as
+        else {}
+    )
     if compared:
-        content["same_model"] = {"as": same_as, "axes": compared}
-    folder = Path(out) if out else Path("results") / f"characterise_{Path(file).name.split('.')[0]}"
+        content["same_model"] = {"as": args.same_as, "axes": compared}
+    folder = Path(args.out) if args.out else Path("results") / f"characterise_{Path(args.file).name.split('.')[0]}"
     page = None
-    if out or not as_json:
+    if args.out or not args.as_json:
         from insemu.report.characterise import render_characterisation
 
-        page = render_characterisation(axes, folder, source=file, beside=others, overlay=overlay)
+        page = render_characterisation(axes, folder, source=args.file, beside=others, overlay=args.overlay)
         put(folder / "characterise.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
-    if as_json:
+    if args.as_json:
         print_json(content, allow_nan=False)
         return
     show(console, axes)
@@ -74,7 +82,7 @@ def command(
         verdict = "another noise model" if found["p_value"] < ALARM else "nothing speaks against one noise model"
         print_text(
             console,
-            f"Same as {same_as}: {name}: {verdict} (p {found['p_value']:.2g}); most apart at {found['tau_s']:.3g} s: variance "
+            f"Same as {args.same_as}: {name}: {verdict} (p {found['p_value']:.2g}); most apart at {found['tau_s']:.3g} s: variance "
             f"{found['ratio']:.3g} times ({found['low']:.3g} to {found['high']:.3g})",
         )
     console.print(f"\nPage: [bold]{page}[/bold] (characterise.json and figures next to it)", soft_wrap=True)

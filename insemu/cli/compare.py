@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from insemu.cli.options import argument, option
+from insemu.cli.options import Arguments, argument, option
 from insemu.cli.printing import flying, print_json, print_table
 from insemu.shown import count_of
 
@@ -14,20 +14,24 @@ if TYPE_CHECKING:
     from insemu.evaluate import ComparisonRow, Experiment
 
 
-def command(
-    scenario: str = argument("SCENARIO"),
-    designs: str = option("--designs", ""),
-    base: str = option("--base", ""),
-    variant: str | None = option("--variant", None),
-    analytic: bool = option("--analytic", False),
-    by: str = option("--by", "process"),
-    realizations: int | None = option("--realizations", None),
-    seed: int | None = option("--seed", None),
-    workers: int = option("--workers", None),
-    cluster: str = option("--cluster", ""),
-    out: str = option("--output", "", "Folder for the page; with --analytic default results/NAME-compare."),
-    as_json: bool = option("--json", False),
-) -> None:
+class CompareArguments(Arguments):
+    """Of ``insemu compare``."""
+
+    scenario: str = argument("SCENARIO")
+    designs: str = option("--designs", "")
+    base: str = option("--base", "")
+    variant: str | None = option("--variant", None)
+    analytic: bool = option("--analytic", False)
+    by: str = option("--by", "process")
+    realizations: int | None = option("--realizations", None)
+    seed: int | None = option("--seed", None)
+    workers: int = option("--workers", None)
+    cluster: str = option("--cluster", "")
+    out: str = option("--output", "", "Folder for the page; with --analytic default results/NAME-compare.")
+    as_json: bool = option("--json", False)
+
+
+def command(args: CompareArguments) -> None:
     """Compare filter designs: paired ratios with intervals, effect sizes and ranks at the end of every outage.
 
     All designs fly the same data. With --analytic nothing is drawn: rms errors come from the joint covariance of truth and belief, with an error
@@ -38,39 +42,44 @@ def command(
     from insemu.cli.announce import announce_warnings, announce_world
     from insemu.cluster import cluster as dask_cluster
     from insemu.errors import InputError, nearest
-    from insemu.evaluate import Experiment, compare, effort, run_experiment, with_designs
+    from insemu.evaluate import Experiment, Resources, compare, effort, run_experiment, with_designs
     from insemu.scenario import load
 
-    if by not in ("source", "axis", "process"):
-        raise InputError(f"unknown part '{by}'" + nearest(by, ("source", "axis", "process")), where="--by")
-    console = Console(stderr=as_json)
-    given = {"seed": seed, "realizations": realizations}
-    names = [d.strip() for d in designs.split(",") if d.strip()]
-    asked = with_designs(load(scenario, variant=variant, overrides=given), names)
-    if base and base not in asked.designs:
-        raise InputError(f"no design '{base}'" + nearest(base, asked.designs), where="--base")
-    experiment = Experiment(asked, scenario)
+    if args.by not in ("source", "axis", "process"):
+        raise InputError(f"unknown part '{args.by}'" + nearest(args.by, ("source", "axis", "process")), where="--by")
+    console = Console(stderr=args.as_json)
+    given = {"seed": args.seed, "realizations": args.realizations}
+    names = [d.strip() for d in args.designs.split(",") if d.strip()]
+    asked = with_designs(load(args.scenario, variant=args.variant, overrides=given), names)
+    if args.base and args.base not in asked.designs:
+        raise InputError(f"no design '{args.base}'" + nearest(args.base, asked.designs), where="--base")
+    experiment = Experiment(asked, args.scenario)
     announce_world(experiment.world.card, Console(stderr=True))
     announce_warnings([experiment], Console(stderr=True))
-    if analytic:
+    if args.analytic:
         document = _analytic(
-            console, experiment, by, Path(out) if out else Path("results") / f"{Path(scenario).stem}-compare"
+            console,
+            experiment,
+            args.by,
+            Path(args.out) if args.out else Path("results") / f"{Path(args.scenario).stem}-compare",
         )
     else:
         stderr = Console(stderr=True)
-        stderr.print(f"Ahead: {effort([experiment], workers)}.", soft_wrap=True, highlight=False)
+        stderr.print(f"Ahead: {effort([experiment], args.workers)}.", soft_wrap=True, highlight=False)
         with (
-            dask_cluster(cluster, workers) as pool,
+            dask_cluster(args.cluster, args.workers) as pool,
             flying(stderr, "comparing", experiment.realizations) as progress,
         ):
-            results = run_experiment(experiment, workers=workers, executor=pool, progress=progress)
-        rows = compare(results, base or None)
-        against = base or results.names[0]
+            results = run_experiment(
+                experiment, resources=Resources(workers=args.workers, executor=pool, progress=progress)
+            )
+        rows = compare(results, args.base or None)
+        against = args.base or results.names[0]
         _show(console, rows, results.realizations, against)
-        if out:
+        if args.out:
             from insemu.report.comparison import render_comparison
 
-            page = render_comparison(results, rows, against, out, source=scenario)
+            page = render_comparison(results, rows, against, args.out, source=args.scenario)
             console.print(f"Page: {page}", soft_wrap=True)
         document = {
             "scenario": results.title,
@@ -80,7 +89,7 @@ def command(
             "base": against,
             "rows": [r.to_dict() for r in rows],
         }
-    if as_json:
+    if args.as_json:
         print_json(document)
 
 

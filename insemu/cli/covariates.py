@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from rich.console import Console
 
-from insemu.cli.fit import scales, show, write
-from insemu.cli.logs import hertz
+from insemu.cli.fit import show, write
+from insemu.cli.logs import LogArguments, ScaleArguments, hertz
+from insemu.cli.options import Arguments, argument, option
 from insemu.cli.printing import print_json
 from insemu.errors import InputError, nearest
 
@@ -31,43 +31,16 @@ class _Fit(Protocol):
 F = TypeVar("F", bound=_Fit)
 
 
-@dataclass(frozen=True)
-class Request:
-    """A log, a structure and where the results go.
+class CovariateArguments(Arguments):
+    """A log, a structure and where the results go."""
 
-    Parameters
-    ----------
-    file : str
-        Log or recording.
-    model : str
-        Structure.
-    rate, skip : str
-        Sampling rate of a log that does not say it, and what is left out at the start.
-    columns : list of str or None
-        Axes that are fitted.
-    tau_from, tau_to : str
-        Scales to use.
-    out, page : str
-        Model file and page to write, or nothing.
-    as_json : bool
-        Print JSON on standard output.
-    """
-
-    file: str
-    model: str
-    rate: str
-    skip: str
-    columns: list[str] | None
-    tau_from: str
-    tau_to: str
-    out: str
-    page: str
-    as_json: bool
-
-    @property
-    def tau(self) -> tuple[float, float]:
-        """Shortest and longest scale to use, s."""
-        return scales(self.tau_from, self.tau_to)
+    log: str = argument("LOG", "Log at rest or drive, with what the signals follow next to them.")
+    model: str = option("--model", ...)
+    read: LogArguments
+    scales: ScaleArguments
+    out: str = option("--output", "", "Write the models as YAML that a scenario reads.")
+    page: str = option("--page", "")
+    as_json: bool = option("--json", False)
 
     def opened(self) -> tuple[list[Series], Mapping[str, Array]]:
         """The axes that are asked for, all where none is, and what else the log has."""
@@ -76,16 +49,16 @@ class Request:
         from insemu.formats import AXIS_OF_COLUMN
         from insemu.logs import open_with_covariates
 
-        rate = hertz(self.rate)
-        series, there = open_with_covariates(self.file, rate, units.parse(self.skip, "s"))
-        wanted = column_names(self.columns)
+        rate = hertz(self.read.rate)
+        series, there = open_with_covariates(self.log, rate, units.parse(self.read.skip, "s"))
+        wanted = column_names(self.read.columns)
         if wanted is None:
             return series, there
         names = [AXIS_OF_COLUMN.get(w, w) for w in wanted]
         unknown = [w for w in names if w not in [s.name for s in series]]
         if unknown:
             message = f"has no column '{unknown[0]}'" + nearest(unknown[0], [s.name for s in series])
-            raise InputError(message, where=self.file)
+            raise InputError(message, where=self.log)
         return [s for s in series if s.name in names], there
 
     def fitted(self, series: list[Series], fit: Callable[[Series], F]) -> dict[str, F]:
@@ -126,4 +99,4 @@ class Request:
                 detail(console, axis, found)
         write({axis: f.result for axis, f in results.items()}, self.out, console)
         if self.page:
-            console.print(f"page: {render(results, self.page, source=self.file)}")
+            console.print(f"page: {render(results, self.page, source=self.log)}")

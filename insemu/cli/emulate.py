@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import typer
 
-from insemu.cli.options import argument, option
+from insemu.cli.options import Arguments, argument, option
 
 
-def command(
-    scenario: str = argument("SCENARIO"),
-    out: str = option("--output", ..., "Recording to write: a .npz file or a folder."),
-    realization: int = option("--realization", 0),
-    seed: int | None = option("--seed", None),
-    variant: str | None = option("--variant", None),
-    ideal: bool = option("--ideal", False),
-    figure: str = option("--figure", "", "Also draw track, speed, turn rate and residuals (PNG, PDF or SVG)."),
-    page: str = option("--page", ""),
-    as_json: bool = option("--json", False),
-) -> None:
+class EmulateArguments(Arguments):
+    """Of ``insemu emulate``."""
+
+    scenario: str = argument("SCENARIO")
+    out: str = option("--output", ..., "Recording to write: a .npz file or a folder.")
+    realization: int = option("--realization", 0)
+    seed: int | None = option("--seed", None)
+    variant: str | None = option("--variant", None)
+    ideal: bool = option("--ideal", False)
+    figure: str = option("--figure", "", "Also draw track, speed, turn rate and residuals (PNG, PDF or SVG).")
+    page: str = option("--page", "")
+    as_json: bool = option("--json", False)
+
+
+def command(args: EmulateArguments) -> None:
     """Emulate one realization of a scenario: IMU with its errors, GNSS with its outages, and the reference.
 
     Every other command reads the recording that it writes; realization 7 is the one that insemu run flies as its
@@ -30,24 +34,24 @@ def command(
     from insemu.formats import check_target, write
     from insemu.scenario import load
 
-    check_target(out, log=False)
-    drawn = [file for file in (figure, page) if file]
+    check_target(args.out, log=False)
+    drawn = [file for file in (args.figure, args.page) if file]
     if drawn:
         from insemu.report.track import check_figure, draw_track
 
-        check_figure(figure, page)
-    given = load(scenario, variant=variant, overrides={"seed": seed})
-    world = EmulatedWorld(given, scenario)
+        check_figure(args.figure, args.page)
+    given = load(args.scenario, variant=args.variant, overrides={"seed": args.seed})
+    world = EmulatedWorld(given, args.scenario)
     for warning in world.warnings:
         typer.echo(f"insemu: warning: {warning}", err=True)
-    recording = world.recording(realization, ideal=ideal)
-    path = write(out, recording)
+    recording = world.recording(args.realization, ideal=args.ideal)
+    path = write(args.out, recording)
     for file in drawn:
         draw_track(
             world.flight,
             file,
             track=world.track,
-            source=scenario,
+            source=args.scenario,
             length_s=world.duration_s,
             outages=world.outage_windows,
         )
@@ -65,11 +69,11 @@ def command(
         "gnss_fixes": 0 if gnss is None else len(gnss),
         "path_distance_m": world.path_distance_m,
         "mode": world.source.mode,
-        "realization": realization,
+        "realization": args.realization,
         "seed": given.seed,
         "warnings": list(world.warnings),
     }
-    if as_json:
+    if args.as_json:
         typer.echo(json.dumps(summary))
         return
     typer.echo(

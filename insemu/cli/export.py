@@ -7,53 +7,57 @@ from pathlib import Path
 import typer
 
 from insemu.cli.logs import hertz
-from insemu.cli.options import argument, option
+from insemu.cli.options import Arguments, argument, option
 from insemu.errors import InputError
 
 
-def command(
+class ExportArguments(Arguments):
+    """Of ``insemu export``."""
+
     file: str = argument(
         "FILE", "Models (YAML of `insemu fit -o`), a recording or track, or a folder of `insemu solve` or `insemu run`."
-    ),
-    out: str = option("--output", ..., "File to write; tracks: .tum, .kml, .gpx, .pos or .csv; an IMU: .imu."),
+    )
+    out: str = option("--output", ..., "File to write; tracks: .tum, .kml, .gpx, .pos or .csv; an IMU: .imu.")
     to: str = option(
         "--to",
         "",
         "Of models: kalibr, openvins, vins-fusion, gazebo, rotors, px4, kf-gins, gtsam, matlab or gnss-ins-sim. Of .imu: IMAR, LN200, "
         "LN200IG, IXSEA, NAVCHIP_INT or NAVCHIP_FLT.",
-    ),
-    rate: str = option("--rate", "", "Of models: sampling rate of the sensor there; that of their log if not given."),
+    )
+    rate: str = option("--rate", "", "Of models: sampling rate of the sensor there; that of their log if not given.")
     record: str = option(
         "--log-length",
         "",
         "Of models: length of the record that they were fitted to; a third of it is the longest time that is checked.",
-    ),
-    reference: bool = option("--reference", False),
+    )
+    reference: bool = option("--reference", False)
     origin: str = option(
         "--origin", "", "Of recordings: date of time 0 (2024-05-01T12:00:00Z), where stamps are no dates."
-    ),
+    )
     outage: list[str] | None = option(
         "--outage", None, "Of recordings: START:END in s, coloured in KML; may be repeated."
-    ),
-    realization: int = option("--realization", 0, "Of runs: which one is drawn in KML, from 0."),
-) -> None:
+    )
+    realization: int = option("--realization", 0, "Of runs: which one is drawn in KML, from 0.")
+
+
+def command(args: ExportArguments) -> None:
     """Write what other programs read.
 
     Noise models in their words; the track of a recording or a solution as TUM, KML, GPX, RTKLIB .pos or CSV; the ways of a run's designs as
     KML; an IMU as binary .imu.
     """
-    target = Path(out)
-    if Path(file).suffix.lower() in (".yaml", ".yml"):
-        _models(file, target, to, rate, record)
+    target = Path(args.out)
+    if Path(args.file).suffix.lower() in (".yaml", ".yml"):
+        _models(args.file, target, args.to, args.rate, args.record)
     elif target.suffix.lower() == ".imu":
-        _imu(file, target, to)
-    elif (Path(file) / "errors.nc").is_file():
+        _imu(args.file, target, args.to)
+    elif (Path(args.file) / "errors.nc").is_file():
         from insemu.evaluate import ways_of_run
         from insemu.formats import write_overlay
 
-        write_overlay(ways_of_run(Path(file), realization), target)
+        write_overlay(ways_of_run(Path(args.file), args.realization), target)
     else:
-        _track(file, target, reference=reference, origin=origin, outage=outage or [])
+        _track(args.file, target, reference=args.reference, origin=args.origin, outage=args.outage or [])
     typer.echo(f"wrote: {target}", err=True)
 
 

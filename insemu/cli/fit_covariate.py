@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from insemu.cli.options import DRAWS, argument, option
+from insemu.cli.covariates import CovariateArguments
+from insemu.cli.options import DRAWS, option
 from insemu.cli.printing import print_boxed
 
 if TYPE_CHECKING:
@@ -15,40 +16,32 @@ if TYPE_CHECKING:
     from insemu.records import Series
 
 
-def command(
-    log: str = argument("LOG", "Log at rest or drive, with the covariate next to the signals."),
-    model: str = option("--model", ...),
+class FitCovariateArguments(CovariateArguments):
+    """Of ``insemu fit-covariate``."""
+
     covariate: str = option(
         "--covariate",
         "",
         "What all levels follow: temperature, speed, rate, force, vibration or a column; not needed where the model says it: "
         '"WN(follows=temperature) + GM()".',
-    ),
-    segments: int = option("--segments", 12, min=2, max=DRAWS),
-    columns: list[str] | None = option("--columns", None),
-    rate: str = option("--rate", ""),
-    skip: str = option("--skip", "0 s"),
-    tau_from: str = option("--tau-from", ""),
-    tau_to: str = option("--tau-to", ""),
-    out: str = option("--output", "", "Write the models as YAML that a scenario reads."),
-    page: str = option("--page", ""),
-    as_json: bool = option("--json", False),
-) -> None:
+    )
+    segments: int = option("--segments", 12, min=2, max=DRAWS)
+
+
+def command(args: FitCovariateArguments) -> None:
     """Fit a noise model whose levels follow a covariate, over segments of a log or drive (gmwm)."""
-    from insemu.cli.covariates import Request
     from insemu.covariates import checked, needed
     from insemu.fit import fit_following
     from insemu.report.following import render_following
 
-    request = Request(log, model, rate, skip, columns, tau_from, tau_to, out, page, as_json)
-    series, found = request.opened()
+    series, found = args.opened()
 
     def fit(s: Series) -> FollowingFit:
-        asked = followed(model, s.unit, covariate)
-        checked(needed([asked]), found, log)
-        return fit_following(s, found, asked, segments=segments, tau_from=request.tau[0], tau_to=request.tau[1])
+        asked = followed(args.model, s.unit, args.covariate)
+        checked(needed([asked]), found, args.log)
+        return fit_following(s, found, asked, segments=args.segments, **args.scales.limits)
 
-    request.give(request.fitted(series, fit), _show, render_following)
+    args.give(args.fitted(series, fit), _show, render_following)
 
 
 def followed(text: str, unit: str, covariate: str) -> NoiseModel:

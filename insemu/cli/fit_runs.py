@@ -7,76 +7,79 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from insemu.cli.logs import hertz
-from insemu.cli.options import DRAWS, argument, option
+from insemu.cli.logs import LogArguments, hertz
+from insemu.cli.options import DRAWS, Arguments, argument, option
 from insemu.cli.printing import print_boxed, print_json
 
 if TYPE_CHECKING:
     from insemu.fit import Choice, RunsFit
 
 
-def command(
-    logs: list[str] = argument("LOG...", "Logs at rest, runs of one sensor."),
+class FitRunsArguments(Arguments):
+    """Of ``insemu fit-runs``."""
+
+    logs: list[str] = argument("LOG...", "Logs at rest, runs of one sensor.")
     models: list[str] = option(
         "--model", ..., "Structure; may be repeated, the one that predicts runs left out best is taken."
-    ),
-    columns: list[str] | None = option("--columns", None),
-    rate: str = option("--rate", ""),
-    skip: str = option("--skip", "0 s"),
-    bootstrap: int = option("--bootstrap", 0, "Draws of the test of near-stationarity; 0: no test.", min=0, max=DRAWS),
-    seed: int = option("--seed", 0, "Seed of these draws."),
-    out: str = option("--output", "", "Write the models and their spread as YAML that a scenario reads."),
-    as_json: bool = option("--json", False),
-) -> None:
+    )
+    read: LogArguments
+    bootstrap: int = option("--bootstrap", 0, "Draws of the test of near-stationarity; 0: no test.", min=0, max=DRAWS)
+    seed: int = option("--seed", 0, "Seed of these draws.")
+    out: str = option("--output", "", "Write the models and their spread as YAML that a scenario reads.")
+    as_json: bool = option("--json", False)
+
+
+def command(args: FitRunsArguments) -> None:
     """Fit one noise model to several runs of a sensor: its spread, and what the next switch-on will show (gmwm)."""
     import numpy as np
 
     from insemu.cli.announce import announce
-    from insemu.cli.logs import read_static
     from insemu.cli.printing import staged
     from insemu.errors import InputError
     from insemu.fit import choose_model, fit_runs, save
     from insemu.noise import NoiseModel
 
-    for name in logs:
-        announce(name, hertz(rate))
-    runs = [read_static(name, rate, columns, skip) for name in logs]
+    for name in args.logs:
+        announce(name, hertz(args.read.rate))
+    runs = [args.read.read(name) for name in args.logs]
     by_name = [{s.name: s for s in run} for run in runs]
     axes = [s.name for s in runs[0] if all(s.name in run for run in by_name)]
     if not axes:
         raise InputError("the runs have no axis in common")
-    console = Console(stderr=as_json)
+    console = Console(stderr=args.as_json)
     found: dict[str, RunsFit] = {}
     choices: dict[str, list[Choice]] = {}
-    children = np.random.default_rng(seed).spawn(len(axes))
-    with staged(Console(stderr=True), len(axes) * (bootstrap + 1)) as say:
+    children = np.random.default_rng(args.seed).spawn(len(axes))
+    with staged(Console(stderr=True), len(axes) * (args.bootstrap + 1)) as say:
         for axis, child in zip(axes, children, strict=True):
             series = [run[axis] for run in by_name]
             try:
-                asked = [NoiseModel.parse(text, series[0].unit) for text in models]
+                asked = [NoiseModel.parse(text, series[0].unit) for text in args.models]
                 if len(asked) > 1:
                     choices[axis] = choose_model(series, asked)
                     asked = [choices[axis][0].model]
                 found[axis] = fit_runs(
                     series,
                     asked[0],
-                    bootstrap=bootstrap,
+                    bootstrap=args.bootstrap,
                     rng=child,
                     progress=lambda k, n, axis=axis: say(f"{axis}: draw {k} of {n}"),  # type: ignore[misc]
                 )
             except InputError as error:
                 raise InputError(error.message, where=error.where or axis) from None
-    if as_json:
+    if args.as_json:
         print_json({"axes": {axis: r.to_json() for axis, r in found.items()}}, allow_nan=False)
-    for axis, r in found.items() if not as_json else ():
+    for axis, r in found.items() if not args.as_json else ():
         _show(console, axis, r, choices.get(axis, []))
-    if out:
+    if args.out:
         from dataclasses import replace
 
         save(
-            {a: replace(r.joint, model=r.model) for a, r in found.items()}, out, {a: r.spread for a, r in found.items()}
+            {a: replace(r.joint, model=r.model) for a, r in found.items()},
+            args.out,
+            {a: r.spread for a, r in found.items()},
         )
-        console.print(f"models: {out}")
+        console.print(f"models: {args.out}")
 
 
 def _show(console: Console, axis: str, r: RunsFit, choices: Sequence[Choice]) -> None:

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from insemu.cli.logs import hertz
-from insemu.cli.options import argument, option
+from insemu.cli.options import Arguments, argument, option
 from insemu.cli.printing import STAGES, print_table, staged
 
 if TYPE_CHECKING:
@@ -17,35 +17,39 @@ if TYPE_CHECKING:
     from insemu.records import Recording
 
 
-def command(
-    model: str = argument("MODEL"),
-    recording: str = argument("RECORDING", "What was measured: a log at rest, or a drive or flight with fixes."),
-    out: str = option("--output", "", "Folder for the page, gap.json and refined.yaml; default results/gap_NAME."),
+class GapArguments(Arguments):
+    """Of ``insemu gap``."""
+
+    model: str = argument("MODEL")
+    recording: str = argument("RECORDING", "What was measured: a log at rest, or a drive or flight with fixes.")
+    out: str = option("--output", "", "Folder for the page, gap.json and refined.yaml; default results/gap_NAME.")
     figure: str = option(
         "--figure", "", "Also draw the page's pictures: PNG and SVG files that begin so, such as results/gap_drive."
-    ),
-    as_json: bool = option("--json", False),
-    rate: str = option("--rate", ""),
-    without: list[str] | None = option("--without", None),
-    seed: int = option("--seed", 1, "Seed of the simulated nominal data."),
+    )
+    as_json: bool = option("--json", False)
+    rate: str = option("--rate", "")
+    without: list[str] | None = option("--without", None)
+    seed: int = option("--seed", 1, "Seed of the simulated nominal data.")
     apply: str = option(
         "--apply", "", "Findings that go into refined.yaml, by number, for example '1,3'; default: all of them."
-    ),
+    )
     following: str = option(
         "--next",
         "",
         "Design the manoeuvre that would tell the members of the most costly class apart; writes a scenario and its waypoints.",
-    ),
+    )
     vehicle: str = option(
         "--vehicle", "car", "What there is to drive or fly it with: car, multirotor, helicopter, fixed_wing."
-    ),
-    hold_out: bool = option("--hold-out", True),
+    )
+    hold_out: bool = option("--hold-out", True)
     workers: int = option(
         "--workers",
         None,
         "Processes; a second one scores a drive or flight on held-out fixes. Default the number of cores.",
-    ),
-) -> None:
+    )
+
+
+def command(args: GapArguments) -> None:
     """Find where a recording and a model disagree, name the missing effect, add it and show the gap shrink."""
     import json
 
@@ -60,41 +64,43 @@ def command(
     from insemu.whole import put
     from insemu.work import processes
 
-    if vehicle not in VEHICLES:
-        raise InputError(f"unknown vehicle '{vehicle}'" + nearest(vehicle, VEHICLES), where="--vehicle")
-    if following and not following.endswith((".yaml", ".yml")):
-        raise InputError(f"found '{following}', expected a file .yaml; the waypoints go next to it", where="--next")
-    for effect in without or ():
+    if args.vehicle not in VEHICLES:
+        raise InputError(f"unknown vehicle '{args.vehicle}'" + nearest(args.vehicle, VEHICLES), where="--vehicle")
+    if args.following and not args.following.endswith((".yaml", ".yml")):
+        raise InputError(
+            f"found '{args.following}', expected a file .yaml; the waypoints go next to it", where="--next"
+        )
+    for effect in args.without or ():
         if effect not in EFFECTS:
             raise InputError(f"unknown effect '{effect}'" + nearest(effect, EFFECTS), where="--without")
     try:
-        numbers = [int(n) for n in apply.split(",") if n.strip()]
+        numbers = [int(n) for n in args.apply.split(",") if n.strip()]
     except ValueError:
-        raise InputError(f"'{apply}' is no list of numbers, expected for example '1,3'", where="--apply") from None
-    console = Console(stderr=as_json)
-    card = announce(recording, hertz(rate))
-    nominal = load_nominal(model)
-    data = found_in(load_measured(recording, rate_hz=hertz(rate)), card)
+        raise InputError(f"'{args.apply}' is no list of numbers, expected for example '1,3'", where="--apply") from None
+    console = Console(stderr=args.as_json)
+    card = announce(args.recording, hertz(args.rate))
+    nominal = load_nominal(args.model)
+    data = found_in(load_measured(args.recording, rate_hz=hertz(args.rate)), card)
     if "recording" not in nominal.raw:  # a scenario of a recording tells times by the recording's clock
         data = from_its_start(data)
     other = sorted({aid.kind for aid in getattr(data, "aids", ()) if not is_judged(aid.kind)})
     if other:
         Console(stderr=True).print(
-            f"{recording}: {', '.join(other)} not looked at: only IMU, fixes, odometer, barometer and heading are",
+            f"{args.recording}: {', '.join(other)} not looked at: only IMU, fixes, odometer, barometer and heading are",
             highlight=False,
             markup=False,
         )
-    with processes(min(workers, 2)) as pool, staged(Console(stderr=True), STAGES) as say:
+    with processes(min(args.workers, 2)) as pool, staged(Console(stderr=True), STAGES) as say:
         report = find_gap(
             data,
             nominal,
-            rng=np.random.default_rng(seed),
-            without=tuple(without or ()),
-            hold_out=hold_out,
+            rng=np.random.default_rng(args.seed),
+            without=tuple(args.without or ()),
+            hold_out=args.hold_out,
             progress=say,
             pool=pool,
         )
-    folder = Path(out) if out else Path("results") / f"gap_{Path(recording).stem}"
+    folder = Path(args.out) if args.out else Path("results") / f"gap_{Path(args.recording).stem}"
     chosen = applied(report, numbers) if numbers else report
     refined = write_refined(nominal, chosen, folder / "refined.yaml", data)
     text = json.dumps(report.to_json(), indent=1, allow_nan=False)
@@ -102,15 +108,15 @@ def command(
     from insemu.report.gap import draw_gap, render_gap
 
     page = render_gap(report, folder, refined.read_text(encoding="utf-8"))
-    if figure:
-        draw_gap(report, Path(figure).parent, Path(figure).name)
-    if as_json:
+    if args.figure:
+        draw_gap(report, Path(args.figure).parent, Path(args.figure).name)
+    if args.as_json:
         typer.echo(text)
     else:
         _tell(report, console)
         console.print(f"Page: [bold]{page}[/bold]   (gap.json, refined.yaml next to it)")
-    if following:
-        _design(report, data, nominal, Path(following), vehicle, seed, console)
+    if args.following:
+        _design(report, data, nominal, Path(args.following), args.vehicle, args.seed, console)
 
 
 def _design(

@@ -7,24 +7,28 @@ from typing import TYPE_CHECKING
 import typer
 from rich.console import Console
 
-from insemu.cli.options import DRAWS, argument, option
+from insemu.cli.options import DRAWS, Arguments, argument, option
 from insemu.cli.printing import STAGES, print_items, print_table, staged
 
 if TYPE_CHECKING:
     from insemu.gap import Check
 
 
-def command(
-    model: str = argument("MODEL", "The model to be checked, for example refined.yaml of 'insemu gap'."),
-    recording: str = argument("RECORDING"),
-    before: str = option("--before", ""),
-    recordings: int = option("--recordings", 200, "Recordings emulated from each model.", min=20, max=DRAWS),
-    search: bool = option("--search", True),
-    workers: int = option("--workers", 1, "Processes."),
-    seed: int = option("--seed", 1, "Seed of the emulated recordings."),
-    out: str = option("--output", "", "Folder for the page and check.json; default results/check_NAME."),
-    as_json: bool = option("--json", False),
-) -> None:
+class GapCheckArguments(Arguments):
+    """Of ``insemu gap-check``."""
+
+    model: str = argument("MODEL", "The model to be checked, for example refined.yaml of 'insemu gap'.")
+    recording: str = argument("RECORDING")
+    before: str = option("--before", "")
+    recordings: int = option("--recordings", 200, "Recordings emulated from each model.", min=20, max=DRAWS)
+    search: bool = option("--search", True)
+    workers: int = option("--workers", 1, "Processes.")
+    seed: int = option("--seed", 1, "Seed of the emulated recordings.")
+    out: str = option("--output", "", "Folder for the page and check.json; default results/check_NAME.")
+    as_json: bool = option("--json", False)
+
+
+def command(args: GapCheckArguments) -> None:
     """Emulate recordings from a model along a measured drive, and say where the measured one stands among them.
 
     Emulated recordings are kept in the folder (recordings.jsonl): the same command goes on where it was interrupted.
@@ -41,26 +45,33 @@ def command(
     from insemu.report.predictive import render_check
     from insemu.whole import put
 
-    console = Console(stderr=as_json)
-    announce(recording)
-    models = {"before": load_nominal(before)} if before else {}
-    models["after"] = load_nominal(model)
-    data = load_measured(recording)
+    console = Console(stderr=args.as_json)
+    announce(args.recording)
+    models = {"before": load_nominal(args.before)} if args.before else {}
+    models["after"] = load_nominal(args.model)
+    data = load_measured(args.recording)
     if "recording" not in models["after"].raw:  # a scenario of a recording tells times by the recording's clock
         data = from_its_start(data)
     if not isinstance(data, Recording):
-        raise InputError("is a log at rest, expected a drive or flight with fixes", where=recording)
-    folder = Path(out) if out else Path("results") / f"check_{Path(recording).stem}"
+        raise InputError("is a log at rest, expected a drive or flight with fixes", where=args.recording)
+    folder = Path(args.out) if args.out else Path("results") / f"check_{Path(args.recording).stem}"
     finished = kept(folder / "recordings.jsonl")
-    with staged(Console(stderr=True), (recordings + 1) * len(models) + (STAGES if search else 0)) as say:
+    with staged(Console(stderr=True), (args.recordings + 1) * len(models) + (STAGES if args.search else 0)) as say:
         checks = {
-            name: check(data, m, recordings=recordings, seed=seed, workers=workers, progress=say, store=finished)
+            name: check(
+                data, m, recordings=args.recordings, seed=args.seed, workers=args.workers, progress=say, store=finished
+            )
             for name, m in models.items()
         }
         left = None
-        if search:
+        if args.search:
             left = find_gap(
-                data, models["after"], rng=np.random.default_rng(seed), hold_out=False, pictures=False, progress=say
+                data,
+                models["after"],
+                rng=np.random.default_rng(args.seed),
+                hold_out=False,
+                pictures=False,
+                progress=say,
             )
     result = {name: c.to_json() for name, c in checks.items()}
     if left is not None:
@@ -68,7 +79,7 @@ def command(
     text = json.dumps(result, indent=1)
     put(folder / "check.json", text + "\n")
     page = render_check(checks, left, folder, data.source)
-    if as_json:
+    if args.as_json:
         typer.echo(text)
         return
     _tell(checks, console)

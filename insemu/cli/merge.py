@@ -21,7 +21,7 @@ def command(
 
     from insemu.cli.run import prepared, run_all, say_all
     from insemu.errors import InputError
-    from insemu.evaluate import CACHE, check_complete, noted
+    from insemu.evaluate import CACHE, Resources, check_complete, noted
 
     stderr, where = Console(stderr=True), Path(folder)
     run, count = noted(where)
@@ -32,5 +32,5 @@ def command(
             where=str(where),
         )
     check_complete(experiments, where, where / CACHE, count)
-    results, failed = run_all(experiments, where, (1, None), stderr, overwrite=overwrite)
+    results, failed = run_all(experiments, where, Resources(), stderr, overwrite=overwrite)
     say_all(results, failed, where, as_json=as_json)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 from rich.console import Console
 
-from insemu.cli.options import argument, option
+from insemu.cli.options import Arguments, argument, option
 from insemu.cli.printing import print_json
 from insemu.errors import InputError
 
@@ -17,23 +17,27 @@ if TYPE_CHECKING:
     from insemu.intake import Card
 
 
-def command(
+class OpenArguments(Arguments):
+    """Of ``insemu open``."""
+
     file: str = argument(
         "FILE", "Any log, recording, bag, track or folder; the one with the IMU where there are several.", default=""
-    ),
-    gnss: str = option("--gnss", ""),
-    truth: str = option("--truth", ""),
+    )
+    gnss: str = option("--gnss", "")
+    truth: str = option("--truth", "")
     column_map: str = option(
         "--map", "", "Columns and settings: 'gyro=omega_*[deg/s], accel=a_*[g], time=stamp[ns], axes=FLU'."
-    ),
-    gnss_map: str = option("--gnss-map", ""),
-    truth_map: str = option("--truth-map", ""),
-    rate: str = option("--rate", "", "Sampling rate of a file without stamps, such as '100 Hz'."),
-    out: str = option("--output", "", "Write what was found: .npz, .csv, or a folder."),
-    save_map: bool = option("--save-map", False),
-    as_json: bool = option("--json", False),
-    formats: bool = option("--formats", False),
-) -> None:
+    )
+    gnss_map: str = option("--gnss-map", "")
+    truth_map: str = option("--truth-map", "")
+    rate: str = option("--rate", "", "Sampling rate of a file without stamps, such as '100 Hz'.")
+    out: str = option("--output", "", "Write what was found: .npz, .csv, or a folder.")
+    save_map: bool = option("--save-map", False)
+    as_json: bool = option("--json", False)
+    formats: bool = option("--formats", False)
+
+
+def command(args: OpenArguments) -> None:
     """Say what a file is: rate, gaps, units, axes, clocks, each with its evidence; write it as a recording or a log.
 
     What contradicts physics is refused (exit code 2) with the command that mends it.
@@ -41,28 +45,28 @@ def command(
     from insemu.formats import check_target, parse_map, write_preset
     from insemu.intake import take
 
-    console = Console(stderr=as_json, soft_wrap=True, highlight=False)
-    if formats:
+    console = Console(stderr=args.as_json, soft_wrap=True, highlight=False)
+    if args.formats:
         from insemu.formats import known_readers
 
         for name in dict.fromkeys(r.name for r in known_readers()):
             typer.echo(name)
         return
-    if not file:
+    if not args.file:
         raise InputError("names no file; `insemu open --formats` lists the kinds that are read", where="insemu open")
-    if out:
-        check_target(out)
-    line = ", ".join(part for part in (column_map, f"rate={rate}" if rate else "") if part)
-    found, card = take(file, gnss=gnss, truth=truth, maps=(line, gnss_map, truth_map))
-    if as_json:
+    if args.out:
+        check_target(args.out)
+    line = ", ".join(part for part in (args.column_map, f"rate={args.rate}" if args.rate else "") if part)
+    found, card = take(args.file, gnss=args.gnss, truth=args.truth, maps=(line, args.gnss_map, args.truth_map))
+    if args.as_json:
         print_json(card.to_json())
     else:
         show(console, card)
     card.check()
-    if out:  # first: what it refuses leaves no map either
-        console.print(f"wrote: {write(found, Path(out))}", markup=False)
-    if save_map:
-        preset = write_preset(Path(file), parse_map(line))
+    if args.out:  # first: what it refuses leaves no map either
+        console.print(f"wrote: {write(found, Path(args.out))}", markup=False)
+    if args.save_map:
+        preset = write_preset(Path(args.file), parse_map(line))
         console.print(f"map: {preset}", markup=False)
 
 

@@ -1,15 +1,19 @@
 """Options and arguments of the commands: one spelling, one unit and one meaning each, in one table (``options.txt``).
 
 What a command is about is an argument; ``--output`` (``-o``) is what it makes, ``--page`` its HTML page. Quantities are text with their unit.
-A command says ``option("--skip", "0 s")``, with words of its own only where the table's do not tell what it does with it.
+A command says ``option("--skip", "0 s")``, with words of its own only where the table's do not tell what it does with it. A command of many
+options takes one object, whose fields they are (:class:`Arguments`); options that several commands share are an object inside it.
 ``tests/test_options.py`` holds every command to the table.
 """
 
 from __future__ import annotations
 
+import inspect
 import os
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, dataclass_transform, get_type_hints
 
 import typer
 
@@ -81,3 +85,47 @@ def argument(name: str, words: str = "", default: Any = ...) -> Any:
         Of one that may be left out.
     """
     return typer.Argument(default, metavar=name, help=words or ARGUMENTS[name])
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+class Arguments:
+    """Arguments and options of a command, one field each in the order of its help; a subclass is a frozen dataclass."""
+
+    def __init_subclass__(cls) -> None:
+        dataclass(frozen=True, kw_only=True)(cls)
+
+
+def spread(command: Callable[..., None]) -> Callable[..., None]:
+    """The command as typer calls it, with one keyword for each field of its :class:`Arguments`."""
+    kinds = [hint for hint in get_type_hints(command).values() if _are_arguments(hint)]
+    if not kinds:
+        return command
+
+    def called(**given: Any) -> None:
+        command(_made(kinds[0], given))
+
+    called.__signature__ = inspect.Signature(_parameters(kinds[0]))  # type: ignore[attr-defined]
+    called.__doc__ = command.__doc__
+    return called
+
+
+def _are_arguments(hint: Any) -> bool:
+    return isinstance(hint, type) and issubclass(hint, Arguments)
+
+
+def _parameters(kind: Any) -> list[inspect.Parameter]:
+    """Every field as a keyword, those of an object inside in its place."""
+    hints, out = get_type_hints(kind), []
+    for f in fields(kind):
+        if _are_arguments(hints[f.name]):
+            out += _parameters(hints[f.name])
+        else:
+            out.append(
+                inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default, annotation=hints[f.name])
+            )
+    return out
+
+
+def _made(kind: Any, given: dict[str, Any]) -> Any:
+    hints = get_type_hints(kind)
+    return kind(**{n: _made(h, given) if _are_arguments(h) else given[n] for n, h in hints.items()})

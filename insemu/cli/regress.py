@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 from rich.console import Console
 
-from insemu.cli.options import DRAWS, argument, option
+from insemu.cli.options import DRAWS, Arguments, argument, option
 from insemu.cli.printing import print_json
 from insemu.shown import count_of
 
@@ -20,21 +20,25 @@ if TYPE_CHECKING:
 ACTIONS = ("record", "check", "sensitivity", "trial")
 
 
-def command(
-    action: str = argument("ACTION"),
-    scenario: str = argument("SCENARIO"),
-    baseline: str = option("--baseline", ...),
-    designs: str = option("--designs", ""),
-    realizations: int | None = option("--realizations", None),
-    seed: int | None = option("--seed", None),
-    workers: int = option("--workers", None),
-    cluster: str = option("--cluster", "", "record and check: fly on a Dask cluster: local, or tcp://HOST:PORT."),
-    false_alarm: float = option("--false-alarm", 0.01, "Probability of reporting designs that did not change."),
-    trials: int = option("--trials", 50, min=1, max=DRAWS),
-    requirements: list[str] = option("--require", []),
-    out: str = option("--page", "", "Write a page with what changed (check, HTML)."),
-    as_json: bool = option("--json", False),
-) -> None:
+class RegressArguments(Arguments):
+    """Of ``insemu regress``."""
+
+    action: str = argument("ACTION")
+    scenario: str = argument("SCENARIO")
+    baseline: str = option("--baseline", ...)
+    designs: str = option("--designs", "")
+    realizations: int | None = option("--realizations", None)
+    seed: int | None = option("--seed", None)
+    workers: int = option("--workers", None)
+    cluster: str = option("--cluster", "", "record and check: fly on a Dask cluster: local, or tcp://HOST:PORT.")
+    false_alarm: float = option("--false-alarm", 0.01, "Probability of reporting designs that did not change.")
+    trials: int = option("--trials", 50, min=1, max=DRAWS)
+    requirements: list[str] = option("--require", [])
+    out: str = option("--page", "", "Write a page with what changed (check, HTML).")
+    as_json: bool = option("--json", False)
+
+
+def command(args: RegressArguments) -> None:
     """Record the accuracy and consistency of a scenario's designs, or check them against a record.
 
     record writes the baseline. check flies again and exits with 1 and the differences where a design changed. sensitivity prints the
@@ -45,24 +49,24 @@ def command(
     from insemu.cli.printing import flying
     from insemu.cluster import cluster as dask_cluster
     from insemu.errors import InputError, nearest
-    from insemu.evaluate import Baseline, Experiment, run_experiment, with_designs
+    from insemu.evaluate import Baseline, Experiment, Resources, run_experiment, with_designs
     from insemu.require import asked
     from insemu.scenario import load
 
-    if action not in ACTIONS:
-        raise InputError(f"unknown action '{action}'" + nearest(action, ACTIONS))
-    if action == "record" and not Path(baseline).resolve().parent.is_dir():
-        raise InputError(f"the folder of {baseline} does not exist", where="--baseline")
-    held = None if action == "record" else Baseline.read(baseline)
-    required = asked(requirements) if requirements else ()
-    if required and action != "check":
-        raise InputError(f"found with {action}, expected with check", where="--require")
-    wanted = [d.strip() for d in designs.split(",") if d.strip()] or (list(held.figures) if held else [])
-    console = Console(stderr=as_json)
+    if args.action not in ACTIONS:
+        raise InputError(f"unknown action '{args.action}'" + nearest(args.action, ACTIONS))
+    if args.action == "record" and not Path(args.baseline).resolve().parent.is_dir():
+        raise InputError(f"the folder of {args.baseline} does not exist", where="--baseline")
+    held = None if args.action == "record" else Baseline.read(args.baseline)
+    required = asked(args.requirements) if args.requirements else ()
+    if required and args.action != "check":
+        raise InputError(f"found with {args.action}, expected with check", where="--require")
+    wanted = [d.strip() for d in args.designs.split(",") if d.strip()] or (list(held.figures) if held else [])
+    console = Console(stderr=args.as_json)
 
     def make(other_seed: int | None = None) -> Experiment:
-        given = {"seed": seed if other_seed is None else other_seed, "realizations": realizations}
-        experiment = Experiment(with_designs(load(scenario, overrides=given), wanted), scenario)
+        given = {"seed": args.seed if other_seed is None else other_seed, "realizations": args.realizations}
+        experiment = Experiment(with_designs(load(args.scenario, overrides=given), wanted), args.scenario)
         if other_seed is None:
             announce_world(experiment.world.card, Console(stderr=True))
         return experiment
@@ -70,55 +74,50 @@ def command(
     def fly(label: str) -> Results:
         experiment = make()
         shown = flying(Console(stderr=True), label, experiment.realizations)
-        with dask_cluster(cluster, workers) as pool, shown as progress:
-            return run_experiment(experiment, workers=workers, executor=pool, progress=progress)
+        with dask_cluster(args.cluster, args.workers) as pool, shown as progress:
+            return run_experiment(
+                experiment, resources=Resources(workers=args.workers, executor=pool, progress=progress)
+            )
 
-    if action == "record":
+    if args.action == "record":
         results = fly("recording")
-        Baseline.of(results).write(baseline)
-        console.print(
-            f"Recorded {count_of(len(results.names), 'design')}, {count_of(results.realizations, 'realization')}, seed {results.seed}: {baseline}",
-            soft_wrap=True,
-        )
+        Baseline.of(results).write(args.baseline)
+        what = f"{count_of(len(results.names), 'design')}, {count_of(results.realizations, 'realization')}"
+        console.print(f"Recorded {what}, seed {results.seed}: {args.baseline}", soft_wrap=True)
         return
     assert held is not None
-    if action == "check":
-        _check(console, fly("checking"), held, false_alarm, required, scenario, baseline, out, as_json)
-    elif action == "sensitivity":
-        _sensitivity(console, make(), held, false_alarm, workers, as_json)
+    if args.action == "check":
+        _check(console, fly("checking"), held, required, args)
+    elif args.action == "sensitivity":
+        _sensitivity(console, make(), held, args)
     else:
-        _trial(console, make, held, false_alarm, trials, workers, as_json)
+        _trial(console, make, held, args)
 
 
 def _check(
     console: Console,
     results: Results,
     held: Baseline,
-    false_alarm: float,
     required: Sequence[Requirement],
-    scenario: str,
-    baseline: str,
-    out: str,
-    as_json: bool,
+    args: RegressArguments,
 ) -> None:
-
     from insemu.evaluate import check
     from insemu.report.comparison import regression_answer
     from insemu.require import guards
 
-    changes = check(results, held, false_alarm=false_alarm)
+    changes = check(results, held, false_alarm=args.false_alarm)
     changed = [c for c in changes if c.significant]
     watched = guards(results, required)
-    if out:
+    if args.out:
         from insemu.report.comparison import render_regression
         from insemu.report.integrity import integrity_sections
 
-        about = {"baseline": Path(baseline).name, "recorded with digest": held.digest, "now": results.digest}
+        about = {"baseline": Path(args.baseline).name, "recorded with digest": held.digest, "now": results.digest}
         console.print(
-            f"Page: {render_regression(changes, false_alarm, out, source=scenario, about=about, more=integrity_sections(watched))}",
+            f"Page: {render_regression(changes, args.false_alarm, args.out, source=args.scenario, about=about, more=integrity_sections(watched))}",
             soft_wrap=True,
         )
-    if as_json:
+    if args.as_json:
         rows = [vars(c) | {"significant": c.significant} for c in changes]
         print_json(
             {
@@ -128,7 +127,7 @@ def _check(
                 "required": [g.to_json() for g in watched],
             }
         )
-    console.print(regression_answer(changes, false_alarm), style="bold", highlight=False)
+    console.print(regression_answer(changes, args.false_alarm), style="bold", highlight=False)
     for c in changed:
         console.print(str(c), soft_wrap=True, style="red")
     for g in watched:
@@ -141,16 +140,14 @@ def _check(
         console.print(f"  {c.design}: {c.figure} {c.before:.4g} ± {c.detectable:.2g} ({part:.2g} %)", soft_wrap=True)
 
 
-def _sensitivity(
-    console: Console, experiment: Experiment, held: Baseline, false_alarm: float, workers: int, as_json: bool
-) -> None:
-
+def _sensitivity(console: Console, experiment: Experiment, held: Baseline, args: RegressArguments) -> None:
     from insemu.evaluate import smallest_detectable
 
     found = {
-        d: smallest_detectable(experiment, held, d, false_alarm=false_alarm, workers=workers) for d in held.figures
+        d: smallest_detectable(experiment, held, d, false_alarm=args.false_alarm, workers=args.workers)
+        for d in held.figures
     }
-    if as_json:
+    if args.as_json:
         print_json(found)
         return
     console.print("Smallest change of what a filter believes that a check with other draws finds (80 % power):")
@@ -161,10 +158,7 @@ def _sensitivity(
             )
 
 
-def _trial(
-    console: Console, make: object, held: Baseline, false_alarm: float, trials: int, workers: int, as_json: bool
-) -> None:
-
+def _trial(console: Console, make: object, held: Baseline, args: RegressArguments) -> None:
     from insemu.evaluate import Alteration, trial
 
     cases = [
@@ -174,9 +168,9 @@ def _trial(
         Alteration("gnss", "position", 1.2),
         Alteration("gnss", "position", 0.8),
     ]
-    found = trial(make, held, cases, trials, false_alarm=false_alarm, workers=workers)
-    if as_json:
-        print_json({"trials": trials, "reported": found})
+    found = trial(make, held, cases, args.trials, false_alarm=args.false_alarm, workers=args.workers)
+    if args.as_json:
+        print_json({"trials": args.trials, "reported": found})
         return
     for name, count in found.items():
-        console.print(f"{name}: reported in {count} of {trials} trials")
+        console.print(f"{name}: reported in {count} of {args.trials} trials")

@@ -27,7 +27,7 @@ def command(
     from insemu import yamlfile
     from insemu.cli.printing import flying
     from insemu.errors import InputError
-    from insemu.evaluate import Experiment, changed, differences, run_experiment, surroundings
+    from insemu.evaluate import Experiment, Resources, changed, differences, run_experiment, surroundings
     from insemu.scenario import Scenario, validated
 
     result = Path(folder)
@@ -52,7 +52,7 @@ def command(
     for line in other:
         print_text(console, f"other than then: {line}")
     with flying(console, "running again", experiment.realizations) as progress:
-        again = run_experiment(experiment, workers=workers, progress=progress)
+        again = run_experiment(experiment, resources=Resources(workers=workers, progress=progress))
     made = {"": again.to_dataset(), "runs": again.runs, "statistics": again.statistics}
     found = [
         f"{group}{': ' * bool(group)}{line}" for group, data in held.items() for line in differences(data, made[group])

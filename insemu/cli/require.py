@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-from insemu.cli.options import argument, option
+from insemu.cli.options import Arguments, argument, option
 from insemu.cli.printing import print_json, print_text
 
 
-def command(
-    requirements: list[str] = argument("REQUIREMENT..."),
+class RequireArguments(Arguments):
+    """Of ``insemu require``."""
+
+    requirements: list[str] = argument("REQUIREMENT...")
     track: str = option(
         "--track", "", "Track or waypoints, or the name of a built-in trajectory; default a drive in town."
-    ),
-    vehicle: str = option("--vehicle", "car"),
-    fixes: str = option("--fixes", ""),
-    aids: str = option("--aids", ""),
-    have: str = option("--have", ""),
-    transfer: str = option("--transfer", ""),
+    )
+    vehicle: str = option("--vehicle", "car")
+    fixes: str = option("--fixes", "")
+    aids: str = option("--aids", "")
+    have: str = option("--have", "")
+    transfer: str = option("--transfer", "")
     realizations: int | None = option(
         "--realizations", None, "Flights of the full filter where the linear answer is doubtful; default none."
-    ),
-    out: str = option(
-        "--output", "", "Folder for page, require.json and scenario.yaml; default results/TRACK-require."
-    ),
-    as_json: bool = option("--json", False),
-) -> None:
+    )
+    out: str = option("--output", "", "Folder for page, require.json and scenario.yaml; default results/TRACK-require.")
+    as_json: bool = option("--json", False)
+
+
+def command(args: RequireArguments) -> None:
     """Say which IMU keeps a required error at the end of an outage, what limits each, and the figures that would just do.
 
     Every sensor card flies the track with the filter that knows its figures, to first order. Writes a page, require.json and scenario.yaml,
@@ -40,22 +42,22 @@ def command(
     from insemu.require import require, wish_of
     from insemu.whole import put
 
-    folder = Path(out) if out else Path("results") / f"{Path(track).stem or 'drive'}-require"
+    folder = Path(args.out) if args.out else Path("results") / f"{Path(args.track).stem or 'drive'}-require"
     scenario = folder / "scenario.yaml"
     found = require(
-        requirements,
-        wish_of(track, vehicle, fixes),
+        args.requirements,
+        wish_of(args.track, args.vehicle, args.fixes),
         scenario,
-        aids=aids,
-        have=have,
-        road=transfer,
-        realizations=realizations or 0,
+        aids=args.aids,
+        have=args.have,
+        road=args.transfer,
+        realizations=args.realizations or 0,
     )
     with only_writer(folder):
         put(scenario, found.scenario)
         put(folder / "require.json", json.dumps(found.to_json(), indent=1, allow_nan=False))
-        page = render_require(found, folder / "index.html", source=track)
-    if as_json:
+        page = render_require(found, folder / "index.html", source=args.track)
+    if args.as_json:
         print_json(found.to_json(), allow_nan=False)
         return
     console = Console()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,47 +13,47 @@ from rich.console import Console
 
 from insemu.cli.linear import check_control, preview
 from insemu.cli.linear import control as controlled
-from insemu.cli.options import LINEAR, argument, option
+from insemu.cli.options import LINEAR, Arguments, argument, option
 from insemu.cli.printing import flying, print_items, print_json, print_table, print_text
 from insemu.errors import InputError
 from insemu.shown import count_of
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
-    from insemu.evaluate import Experiment, Results, Shard
+    from insemu.evaluate import Experiment, Resources, Results, Shard
 
 
 #: Outages of which error budgets are made: each goes back through the flight, so that those of n outages take n times the flight.
 MOST_BUDGETS = 100
 
 
-def command(
-    scenario: str = argument("SCENARIO"),
-    realizations: int | None = option("--realizations", None, min=1),
-    seed: int | None = option("--seed", None),
-    workers: int = option("--workers", None),
-    until: str = option("--until", ""),
+class RunArguments(Arguments):
+    """Of ``insemu run``."""
+
+    scenario: str = argument("SCENARIO")
+    realizations: int | None = option("--realizations", None, min=1)
+    seed: int | None = option("--seed", None)
+    workers: int = option("--workers", None)
+    until: str = option("--until", "")
     linear: int = option(
         "--linear", 0, "Fly nothing: a preview from so many realizations to first order, for example 10000."
-    ),
-    control: int = option("--control", 0, min=0, max=LINEAR),
+    )
+    control: int = option("--control", 0, min=0, max=LINEAR)
     out: str = option(
         "--output",
         "",
         "Folder for results; default results/NAME next to the current folder, NAME-linear with --linear.",
-    ),
-    cluster: str = option("--cluster", ""),
+    )
+    cluster: str = option("--cluster", "")
     shard: str = option(
         "--shard", "", "Fly only a part, for example 3/40, and keep it in the folder; insemu merge makes the results."
-    ),
-    as_json: bool = option("--json", False),
-    variants: bool = option("--variants", False),
-    pictures: bool = option(
-        "--pictures", True, "Write the page's charts as PNG and SVG, too (without: older ones go)."
-    ),
-    overwrite: bool = option("--overwrite", False),
-) -> None:
+    )
+    as_json: bool = option("--json", False)
+    variants: bool = option("--variants", False)
+    pictures: bool = option("--pictures", True, "Write the page's charts as PNG and SVG, too (without: older ones go).")
+    overwrite: bool = option("--overwrite", False)
+
+
+def command(args: RunArguments) -> None:
     """Run a scenario: emulate, inject errors, cut GNSS, filter with every design, and compare.
 
     Writes summary.json, outages.csv, errors.nc, manifest.json, resolved.yaml, figures, index.html and, last, complete.json. An interrupted
@@ -60,48 +61,55 @@ def command(
     """
     from insemu.cluster import cluster as dask_cluster
     from insemu.compiled import compiled_beside
-    from insemu.evaluate import Shard, effort
+    from insemu.evaluate import Resources, Shard, effort
 
     # progress and warnings go to standard error: a closed pipe behind the tables costs no files
     stderr = Console(stderr=True)
-    folder = Path(out) if out else Path("results") / Path(scenario).stem
-    overrides = {"seed": seed, "realizations": realizations}
+    folder = Path(args.out) if args.out else Path("results") / Path(args.scenario).stem
+    overrides = {"seed": args.seed, "realizations": args.realizations}
     ways = [
         o
-        for o, given in (("--shard", shard), ("--linear", linear), ("--until or --control", until or control))
+        for o, given in (
+            ("--shard", args.shard),
+            ("--linear", args.linear),
+            ("--until or --control", args.until or args.control),
+        )
         if given
     ]
     if len(ways) > 1:
         raise InputError(f"{' and '.join(ways)} exclude each other", where="insemu run")
-    part = Shard.parse(shard) if shard else None
+    part = Shard.parse(args.shard) if args.shard else None
     with (
         compiled_beside("insemu.evaluate.kernels", "insemu.filters.kernel.run"),
-        dask_cluster(cluster, workers) as pool,
+        dask_cluster(args.cluster, args.workers) as pool,
     ):
-        experiments = prepared(scenario, overrides, with_variants=variants, console=stderr)
-        if control:
-            check_control(experiments[""], until=bool(until))
-        if linear:
-            target = folder if out else folder.with_name(f"{folder.name}-linear")
-            preview(experiments[""], linear, target, Console(), as_json=as_json)
+        resources = Resources(args.workers, pool)
+        experiments = prepared(args.scenario, overrides, with_variants=args.variants, console=stderr)
+        if args.control:
+            check_control(experiments[""], until=bool(args.until))
+        if args.linear:
+            target = folder if args.out else folder.with_name(f"{folder.name}-linear")
+            preview(experiments[""], args.linear, target, Console(), as_json=args.as_json)
             return
-        stderr.print(f"Ahead: {effort(list(experiments.values()), workers)}.", soft_wrap=True, highlight=False)
+        stderr.print(f"Ahead: {effort(list(experiments.values()), args.workers)}.", soft_wrap=True, highlight=False)
         if part is not None:
-            run: dict[str, Any] = {"scenario": str(Path(scenario).resolve()) if Path(scenario).exists() else scenario}
-            run |= {"overrides": overrides, "variants": variants, "digest": experiments[""].digest}
-            fly_shard(experiments, folder, part, run, (workers, pool), stderr)
+            run: dict[str, Any] = {
+                "scenario": str(Path(args.scenario).resolve()) if Path(args.scenario).exists() else args.scenario
+            }
+            run |= {"overrides": overrides, "variants": args.variants, "digest": experiments[""].digest}
+            fly_shard(experiments, folder, part, run, resources, stderr)
             return
-        if until:
-            fly_until(experiments, until, folder, (workers, pool), stderr)
+        if args.until:
+            fly_until(experiments, args.until, folder, resources, stderr)
 
         def help_figures(found: Results) -> None:
-            controlled(experiments[""], found, control, folder, Console(stderr=as_json), as_json=as_json)
+            controlled(experiments[""], found, args.control, folder, Console(stderr=args.as_json), as_json=args.as_json)
 
         results, failed = run_all(
-            experiments, folder, (workers, pool), stderr, overwrite=overwrite, pictures=pictures,
-            also=help_figures if control else None,
+            experiments, folder, resources, stderr, overwrite=args.overwrite, pictures=args.pictures,
+            also=help_figures if args.control else None,
         )  # fmt: skip
-    say_all(results, failed, folder, as_json=as_json)
+    say_all(results, failed, folder, as_json=args.as_json)
 
 
 def say_all(results: dict[str, Results], failed: list[str], folder: Path, *, as_json: bool) -> None:
@@ -133,7 +141,7 @@ def fly_until(
     experiments: Mapping[str, Experiment],
     text: str,
     folder: Path,
-    means: tuple[int, Executor | None],
+    resources: Resources,
     console: Console,
 ) -> None:
     """Fly until a goal is reached; the experiments then have as many realizations as that took.
@@ -144,13 +152,11 @@ def fly_until(
     text : str
         The goal.
     folder : path
-    means : (int, Executor or None)
-        Threads, or a pool instead.
+    resources : Resources
     console : Console
     """
     from insemu.evaluate import CACHE, Goal, looks, only_writer, run_experiment
 
-    workers, pool = means
     experiment = experiments[""]
     goal = Goal.parse(text, list(experiment.scenario.designs))
     if not experiment.world.outage_windows or experiment.scenario.recording is not None:
@@ -158,9 +164,8 @@ def fly_until(
     with only_writer(folder):
         for number, count in enumerate(looks(), start=1):
             with bar(console, f"look {number}", count) as (step, say):
-                results = run_experiment(
-                    experiment, realizations=count, workers=workers, executor=pool, cache=folder / CACHE, progress=step, say=say
-                )  # fmt: skip
+                here = replace(resources, cache=folder / CACHE, progress=step, say=say)
+                results = run_experiment(experiment, realizations=count, resources=here)
             seen = goal.look(results, number)
             asked = text.partition(" within ")[0]
             print_text(
@@ -180,7 +185,7 @@ def fly_shard(
     folder: Path,
     shard: Shard,
     run: Mapping[str, Any],
-    means: tuple[int, Executor | None],
+    resources: Resources,
     console: Console,
 ) -> None:
     """Fly a part of every variant and keep it in the folder.
@@ -192,18 +197,16 @@ def fly_shard(
     shard : Shard
     run : mapping
         What the part belongs to.
-    means : (int, Executor or None)
-        Threads, or a pool instead.
+    resources : Resources
     console : Console
     """
     from insemu.evaluate import CACHE, fly_part, note, only_writer
 
-    workers, pool = means
     with only_writer(folder, shared=True):
         for name, experiment in experiments.items():
             mine = shard.realizations(experiment.realizations)
             with bar(console, f"{name or 'shard'} {shard}", len(mine)) as (step, say):
-                fly_part(experiment, mine, workers=workers, executor=pool, cache=folder / CACHE, progress=step, say=say)
+                fly_part(experiment, mine, replace(resources, cache=folder / CACHE, progress=step, say=say))
         note(folder, shard, run)
     console.print(f"Shard {shard} is in {folder}. With all of them there: insemu merge {folder}", soft_wrap=True)
 
@@ -228,7 +231,7 @@ def prepared(
 def run_all(
     experiments: Mapping[str, Experiment],
     folder: Path,
-    means: tuple[int, Executor | None],
+    resources: Resources,
     console: Console,
     *,
     overwrite: bool = False,
@@ -241,8 +244,7 @@ def run_all(
     ----------
     experiments : mapping of variant to Experiment
     folder : path
-    means : (int, Executor or None)
-        Threads, or a pool instead.
+    resources : Resources
     console : Console
         For progress, warnings and what failed.
     overwrite : bool
@@ -278,13 +280,13 @@ def run_all(
     with only_writer(folder):
         forget_others(folder / CACHE, {e.digest for e in experiments.values()})
         done: dict[str, Results] = {}
-        for name, experiment, results in flown(experiments, folder / CACHE, means, console):
+        for name, experiment, results in flown(experiments, folder / CACHE, resources, console):
             target = folder / "variants" / name if name else folder
             write(results, target)
             put(target / "resolved.yaml", resolved(experiment.scenario))
             done[name] = results
         first = done[""]
-        done[""] = attempt("the error budget", lambda: with_budgets(experiments[""], first, means[0]), first)
+        done[""] = attempt("the error budget", lambda: with_budgets(experiments[""], first, resources.workers), first)
         if done[""].budgets:
             write_summary(done[""], folder)
         others = {name: results for name, results in done.items() if name}
@@ -323,7 +325,7 @@ def bar(console: Console, label: str, total: int) -> Iterator[tuple[Any, Any]]:
 
 
 def flown(
-    experiments: Mapping[str, Experiment], cache: Path, means: tuple[int, Executor | None], console: Console
+    experiments: Mapping[str, Experiment], cache: Path, resources: Resources, console: Console
 ) -> Iterator[tuple[str, Experiment, Results]]:
     """Yield (variant, experiment, results), with a bar of progress each.
 
@@ -331,7 +333,7 @@ def flown(
     ----------
     experiments : mapping of variant to Experiment
     cache : path
-    means : (int, Executor or None)
+    resources : Resources
     console : Console
     """
     from insemu.evaluate import answer, run_experiment
@@ -341,14 +343,11 @@ def flown(
             text = f"After {count_of(first.realizations, 'realization')} and {first.timing['wall_seconds']:.0f} s of flying: {said.sentence}"
             print_text(console, text)
 
-    workers, pool = means
     for name, experiment in experiments.items():
         label = name or experiment.scenario.title.split(":")[0][:24]
         with bar(console, label, experiment.realizations) as (step, say):
-            results = run_experiment(
-                experiment, workers=workers, executor=pool, cache=cache, progress=step, say=say,
-                preview=None if name else preview,
-            )  # fmt: skip
+            here = replace(resources, cache=cache, progress=step, say=say)
+            results = run_experiment(experiment, resources=here, preview=None if name else preview)
         yield name, experiment, results
 
 
@@ -362,8 +361,6 @@ def with_budgets(experiment: Experiment, results: Results, workers: int = 1) -> 
     workers : int
         Threads.
     """
-    from dataclasses import replace
-
     from insemu.evaluate import analysable, analyse_designs, outage_budgets
 
     if not 0 < len(results.outages) <= MOST_BUDGETS or not analysable(experiment)[0]:

@@ -10,8 +10,8 @@ from rich.console import Console
 
 from insemu.cli.fit import show as show_fit
 from insemu.cli.fit import write
-from insemu.cli.logs import hertz
-from insemu.cli.options import DRAWS, argument, option
+from insemu.cli.logs import LogArguments, hertz
+from insemu.cli.options import DRAWS, Arguments, argument, option
 from insemu.cli.printing import counting, print_boxed, print_json, print_table
 
 if TYPE_CHECKING:
@@ -19,73 +19,74 @@ if TYPE_CHECKING:
     from insemu.variance import WaveletVariance
 
 
-def command(
-    file: str = argument("LOG"),
-    general: str = option("--general", "4*GM() + WN() + RW() + QN()"),
-    candidates: list[str] | None = option("--candidate", None),
-    robust: bool = option("--robust", False),
-    columns: list[str] | None = option("--columns", None),
+class SelectArguments(Arguments):
+    """Of ``insemu select``."""
+
+    file: str = argument("LOG")
+    general: str = option("--general", "4*GM() + WN() + RW() + QN()")
+    candidates: list[str] | None = option("--candidate", None)
+    robust: bool = option("--robust", False)
+    read: LogArguments
     held_out: list[str] | None = option(
         "--held-out", None, "Another log of the same sensor: how well the choice predicts it, scale by scale."
-    ),
-    rate: str = option("--rate", ""),
-    skip: str = option("--skip", "0 s"),
-    detail: bool = option("--detail", False),
-    rows: int = option("--rows", 8, min=1, max=DRAWS),
-    workers: int = option("--workers", None),
-    cluster: str = option("--cluster", ""),
-    seed: int = option("--seed", 0, "Seed of the draws on the page."),
-    out: str = option("--output", "", "Write the chosen models as YAML that a scenario reads."),
-    page: str = option("--page", ""),
-    as_json: bool = option("--json", False),
-) -> None:
+    )
+    detail: bool = option("--detail", False)
+    rows: int = option("--rows", 8, min=1, max=DRAWS)
+    workers: int = option("--workers", None)
+    cluster: str = option("--cluster", "")
+    seed: int = option("--seed", 0, "Seed of the draws on the page.")
+    out: str = option("--output", "", "Write the chosen models as YAML that a scenario reads.")
+    page: str = option("--page", "")
+    as_json: bool = option("--json", False)
+
+
+def command(args: SelectArguments) -> None:
     """Choose a noise model for every axis among all models nested in a general one."""
     import numpy as np
 
     from insemu.cli.announce import announce
-    from insemu.cli.logs import read_static
     from insemu.cluster import cluster as dask_cluster
     from insemu.fit import select_axes
     from insemu.noise import NoiseModel
 
-    announce(file, hertz(rate))
-    series = read_static(file, rate, columns, skip)
-    given = [NoiseModel.parse(c) for c in candidates] if candidates else None
+    announce(args.file, hertz(args.read.rate))
+    series = args.read.read(args.file)
+    given = [NoiseModel.parse(c) for c in args.candidates] if args.candidates else None
     stderr = Console(stderr=True)
-    with dask_cluster(cluster, workers) as pool, counting(stderr, "choosing", len(series)) as finished:
+    with dask_cluster(args.cluster, args.workers) as pool, counting(stderr, "choosing", len(series)) as finished:
         rankings = select_axes(
             series,
-            NoiseModel.parse(general),
+            NoiseModel.parse(args.general),
             candidates=given,
-            robust=robust,
-            workers=workers,
+            robust=args.robust,
+            workers=args.workers,
             pool=pool,
             progress=finished,
         )
-    console = Console(stderr=as_json)
+    console = Console(stderr=args.as_json)
     checks: dict[str, dict[str, dict[str, Any]]] = {axis: {} for axis in rankings}
-    for other in held_out or []:
-        for s in read_static(other, rate, columns, skip):
+    for other in args.held_out or []:
+        for s in args.read.read(other):
             if s.name in rankings:
                 from insemu.variance import wavelet_variance
 
                 checks[s.name][other] = prediction(rankings[s.name], wavelet_variance(s.values, s.rate_hz, gaps=s.gaps))
     results = {axis: r.fit for axis, r in rankings.items()}
-    if as_json:
+    if args.as_json:
         print_json({"axes": {a: as_plain(r, checks[a]) for a, r in rankings.items()}}, allow_nan=False)
     else:
         show_axes(console, results)
         for axis, ranking in rankings.items():
-            if detail:
-                show(console, ranking, rows)
+            if args.detail:
+                show(console, ranking, args.rows)
             for other, found in checks[axis].items():
                 show_prediction(console, axis, other, found)
-    write(results, out, console)
-    if page:
+    write(results, args.out, console)
+    if args.page:
         from insemu.report.fit import render_fits
 
-        rng = np.random.default_rng(seed)
-        written = render_fits(results, page, series=series, rankings=rankings, rng=rng, source=file)
+        rng = np.random.default_rng(args.seed)
+        written = render_fits(results, args.page, series=series, rankings=rankings, rng=rng, source=args.file)
         console.print(f"page: {written}")
 
 

@@ -9,29 +9,33 @@ from rich.console import Console
 
 from insemu import units
 from insemu.cli.logs import hertz
-from insemu.cli.options import argument, option
+from insemu.cli.options import Arguments, argument, option
 from insemu.cli.printing import print_items, print_json, print_table, staged
 
 if TYPE_CHECKING:
     from insemu.solve import Comparison, Solution
 
 
-def command(
-    file: str = argument("RECORDING", "Any recording; the file with the IMU where there are several."),
-    gnss: str = option("--gnss", ""),
-    column_map: str = option("--map", ""),
-    gnss_map: str = option("--gnss-map", ""),
-    sensor: str = option("--sensor", "", "Try this sensor card too (insemu sensor), or a card's file."),
-    models: str = option("--models", "", "Try these models too (YAML of insemu fit -o or insemu sensor -o)."),
-    designs: str = option("--designs", "", "Try these designs too, separated by commas (insemu designs)."),
-    lever_arm: str = option("--lever-arm", ""),
-    against: str = option("--against", ""),
-    trajectory_rate: str = option("--trajectory-rate", ""),
-    out: str = option("--output", "", "Folder for the results; default results/solve_NAME."),
-    requirements: list[str] = option("--require", []),
-    workers: int = option("--workers", None),
-    as_json: bool = option("--json", False),
-) -> None:
+class SolveArguments(Arguments):
+    """Of ``insemu solve``."""
+
+    file: str = argument("RECORDING", "Any recording; the file with the IMU where there are several.")
+    gnss: str = option("--gnss", "")
+    column_map: str = option("--map", "")
+    gnss_map: str = option("--gnss-map", "")
+    sensor: str = option("--sensor", "", "Try this sensor card too (insemu sensor), or a card's file.")
+    models: str = option("--models", "", "Try these models too (YAML of insemu fit -o or insemu sensor -o).")
+    designs: str = option("--designs", "", "Try these designs too, separated by commas (insemu designs).")
+    lever_arm: str = option("--lever-arm", "")
+    against: str = option("--against", "")
+    trajectory_rate: str = option("--trajectory-rate", "")
+    out: str = option("--output", "", "Folder for the results; default results/solve_NAME.")
+    requirements: list[str] = option("--require", [])
+    workers: int = option("--workers", None)
+    as_json: bool = option("--json", False)
+
+
+def command(args: SolveArguments) -> None:
     """Solve a recording: trajectory with standard deviations, calibration, and what 10, 30 and 60 s without GNSS cost.
 
     Generic designs, one whose noise the innovations ask for, and those that are named are tried; outages are cut at every second and held
@@ -51,12 +55,15 @@ def command(
     from insemu.solve import candidates, compare_with, solve, summary, write
     from insemu.whole import put
 
-    console, stderr = Console(stderr=as_json, highlight=False), Console(stderr=True)
-    arm, required = _lever_arm(lever_arm), asked(requirements) if requirements else ()
+    console, stderr = Console(stderr=args.as_json, highlight=False), Console(stderr=True)
+    arm, required = _lever_arm(args.lever_arm), asked(args.requirements) if args.requirements else ()
     beliefs = candidates(
-        [d.strip() for d in designs.split(",") if d.strip()], sensor, models, lever_arm_known=arm is not None
+        [d.strip() for d in args.designs.split(",") if d.strip()],
+        args.sensor,
+        args.models,
+        lever_arm_known=arm is not None,
     )
-    found, card = take(file, gnss=gnss, maps=(column_map, gnss_map, ""))
+    found, card = take(args.file, gnss=args.gnss, maps=(args.column_map, args.gnss_map, ""))
     show_brief(card, console)
     card.check()
     # start, clock and noise, the design that the innovations ask for, two with calibration states, outages
@@ -66,24 +73,24 @@ def command(
             card,
             beliefs,
             lever_arm=arm,
-            rate=hertz(trajectory_rate),
-            workers=workers,
+            rate=hertz(args.trajectory_rate),
+            workers=args.workers,
             say=say,
         )
-        compared = compare_with(solution, against, workers=workers) if against else None
+        compared = compare_with(solution, args.against, workers=args.workers) if args.against else None
     o = solution.taken.outages
     stated = o.covariance + o.fix_variance[..., None] * np.eye(2)  # errors are against fixes
     watched = [recorded_guard(r, o.start, o.horizons, o.error, stated) for r in required]
-    folder = Path(out) if out else Path("results") / f"solve_{Path(file).name.split('.')[0]}"
+    folder = Path(args.out) if args.out else Path("results") / f"solve_{Path(args.file).name.split('.')[0]}"
     plain = summary(solution, compared) | ({"required": [g.to_json() for g in watched]} if watched else {})
     with only_writer(folder):
         write(solution, folder)
-        page = render_solution(solution, folder, compared, Path(against).name, integrity_sections(watched))
+        page = render_solution(solution, folder, compared, Path(args.against).name, integrity_sections(watched))
         put(folder / "summary.json", json.dumps(plain, indent=1))
-    if as_json:
+    if args.as_json:
         print_json(plain)
     else:
-        _show(console, solution, compared, Path(against).name)
+        _show(console, solution, compared, Path(args.against).name)
         for g in watched:
             console.print(str(g), soft_wrap=True, markup=False, style=None if g.kept else "red")
         console.print(

@@ -8,30 +8,34 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from insemu.cli.options import argument, option
+from insemu.cli.options import Arguments, argument, option
 from insemu.cli.printing import Bars, print_json, print_table, print_text
 
 if TYPE_CHECKING:
-    from insemu.evaluate import Row, Sweep
+    from insemu.evaluate import Resources, Row, Sweep
 
 
-def command(
-    scenario: str = argument("SCENARIO"),
-    over: str = option("--over", ...),
+class SweepArguments(Arguments):
+    """Of ``insemu sweep``."""
+
+    scenario: str = argument("SCENARIO")
+    over: str = option("--over", ...)
     latin: int = option(
         "--latin",
         0,
         "So many points of a Latin hypercube instead of all combinations; keys may then have ranges, LOW..HIGH.",
         min=0,
-    ),
-    linear: int = option("--linear", 0, "Fly nothing: so many realizations to first order at each point."),
-    realizations: int | None = option("--realizations", None, "At each point; default the scenario's."),
-    seed: int | None = option("--seed", None, "The same at every point; default the scenario's."),
-    workers: int = option("--workers", None),
-    cluster: str = option("--cluster", ""),
-    out: str = option("--output", "", "Folder for results; default results/NAME-sweep."),
-    as_json: bool = option("--json", False),
-) -> None:
+    )
+    linear: int = option("--linear", 0, "Fly nothing: so many realizations to first order at each point.")
+    realizations: int | None = option("--realizations", None, "At each point; default the scenario's.")
+    seed: int | None = option("--seed", None, "The same at every point; default the scenario's.")
+    workers: int = option("--workers", None)
+    cluster: str = option("--cluster", "")
+    out: str = option("--output", "", "Folder for results; default results/NAME-sweep.")
+    as_json: bool = option("--json", False)
+
+
+def command(args: SweepArguments) -> None:
     """Run a scenario with other values at some keys: every combination, or a Latin hypercube, as one experiment with one table.
 
     KEY is any key of the scenario (insemu schema), its parts parted by dots, or one of: sensor (the truth's card), outage (duration of every outage),
@@ -42,42 +46,50 @@ def command(
 
     from insemu.cluster import cluster as dask_cluster
     from insemu.compiled import compiled_beside
-    from insemu.evaluate import CACHE, Sweep, only_writer
+    from insemu.evaluate import CACHE, Resources, Sweep, only_writer
     from insemu.report.sweep import render_sweep
     from insemu.whole import put
 
     stderr = Console(stderr=True)
-    folder = Path(out) if out else Path("results") / f"{Path(scenario).stem}-sweep"
-    sweep = Sweep.of(scenario, over, latin=latin, linear=linear, overrides={"seed": seed, "realizations": realizations})
+    folder = Path(args.out) if args.out else Path("results") / f"{Path(args.scenario).stem}-sweep"
+    sweep = Sweep.of(
+        args.scenario,
+        args.over,
+        latin=args.latin,
+        linear=args.linear,
+        overrides={"seed": args.seed, "realizations": args.realizations},
+    )
     stderr.print(
         f"{len(sweep.points)} points of {', '.join(f.key for f in sweep.given)}.", highlight=False, markup=False
     )
     with (
         compiled_beside("insemu.evaluate.kernels", "insemu.filters.kernel.run"),
         only_writer(folder),
-        dask_cluster(cluster, workers) as pool,
+        dask_cluster(args.cluster, args.workers) as pool,
     ):
-        rows = _rows(sweep, folder / CACHE, {"workers": workers, "executor": pool})
+        rows = _rows(sweep, folder / CACHE, Resources(args.workers, pool))
         document = {
             "scenario": sweep.scenario.title,
-            "over": over,
-            "latin": latin,
+            "over": args.over,
+            "latin": args.latin,
             "seed": sweep.scenario.seed,
-            "realizations": linear or sweep.scenario.realizations,
-            "linear": bool(linear),
+            "realizations": args.linear or sweep.scenario.realizations,
+            "linear": bool(args.linear),
             "rows": [row.flat() for row in rows],
         }
         put(folder / "sweep.json", json.dumps(document, indent=1))
         put(folder / "sweep.csv", _csv(rows))
         page = render_sweep(sweep, rows, folder)
-    if as_json:
+    if args.as_json:
         print_json(document)
     else:
         _show(Console(), sweep, rows, page)
 
 
-def _rows(sweep: Sweep, cache: Path, means: dict[str, Any]) -> list[Row]:
+def _rows(sweep: Sweep, cache: Path, resources: Resources) -> list[Row]:
     """All rows, with a bar for the points and what each is at."""
+    from dataclasses import replace
+
     from insemu.errors import InputError
 
     stderr = Console(stderr=True)
@@ -96,7 +108,7 @@ def _rows(sweep: Sweep, cache: Path, means: dict[str, Any]) -> list[Row]:
             print_text(stderr, f"Warning: {text}.")
 
         try:
-            for found in sweep.rows(cache, progress=progress, say=say, **means):
+            for found in sweep.rows(cache, replace(resources, say=say), progress=progress):
                 if not found:
                     raise InputError(
                         "the scenario has no outage at whose end errors could be computed", where=str(sweep.file)

@@ -6,30 +6,34 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from insemu.cli.options import argument, option
+from insemu.cli.options import Arguments, argument, option
 from insemu.cli.printing import STAGES, print_items, print_json, print_table, staged
 
 if TYPE_CHECKING:
     from insemu.transfer import Transfer
 
 
-def command(
+class TransferArguments(Arguments):
+    """Of ``insemu transfer``."""
+
     model: str = argument(
         "MODEL", "Static models: a noise-model file of 'insemu fit', a belief file or a scenario (YAML)."
-    ),
-    recording: str = argument("RECORDING"),
+    )
+    recording: str = argument("RECORDING")
     known: str = option(
         "--known",
         "",
         "What else is known of the drive: refined.yaml of 'insemu gap', a belief file or a scenario; its effects are removed first.",
-    ),
-    out: str = option("--output", "", "Write the models with the factors on them to this noise-model file."),
-    page: str = option("--page", ""),
-    why: bool = option("--why", True),
-    calibrate: bool = option("--calibrate", False),
-    seed: int = option("--seed", 1, "Seed of the simulations of the gap workflow."),
-    as_json: bool = option("--json", False),
-) -> None:
+    )
+    out: str = option("--output", "", "Write the models with the factors on them to this noise-model file.")
+    page: str = option("--page", "")
+    why: bool = option("--why", True)
+    calibrate: bool = option("--calibrate", False)
+    seed: int = option("--seed", 1, "Seed of the simulations of the gap workflow.")
+    as_json: bool = option("--json", False)
+
+
+def command(args: TransferArguments) -> None:
     """Carry a static noise model to a drive: factors on its levels, outages as the judge, and the reasons."""
     import numpy as np
 
@@ -40,38 +44,38 @@ def command(
     from insemu.records import Recording
     from insemu.transfer import transfer
 
-    console = Console(stderr=as_json)
-    announce(recording)
-    nominal, besides = load_nominal(model), load_nominal(known) if known else None
-    data = load_measured(recording)
+    console = Console(stderr=args.as_json)
+    announce(args.recording)
+    nominal, besides = load_nominal(args.model), load_nominal(args.known) if args.known else None
+    data = load_measured(args.recording)
     if "recording" not in (besides or nominal).raw:  # a scenario of a recording tells times by the recording's clock
         data = from_its_start(data)
     if not isinstance(data, Recording):
-        raise InputError("is a log at rest, expected a drive or flight with fixes", where=recording)
-    with staged(Console(stderr=True), STAGES if why else 4) as say:
+        raise InputError("is a log at rest, expected a drive or flight with fixes", where=args.recording)
+    with staged(Console(stderr=True), STAGES if args.why else 4) as say:
         found = transfer(
             data,
             nominal,
-            rng=np.random.default_rng(seed),
+            rng=np.random.default_rng(args.seed),
             known=besides,
-            why=why,
-            calibrate=calibrate,
+            why=args.why,
+            calibrate=args.calibrate,
             say=say,
         )
-    if out:
-        save(found.beliefs, out)
-    if page:
+    if args.out:
+        save(found.beliefs, args.out)
+    if args.page:
         from insemu.report.transfer import render_transfer
 
-        render_transfer(found, page, recording)
-    if as_json:
+        render_transfer(found, args.page, args.recording)
+    if args.as_json:
         print_json(found.to_json())
         return
     _tell(found, console)
-    if out:
-        console.print(f"Models for this drive: [bold]{out}[/bold]")
-    if page:
-        console.print(f"Page: [bold]{page}[/bold]")
+    if args.out:
+        console.print(f"Models for this drive: [bold]{args.out}[/bold]")
+    if args.page:
+        console.print(f"Page: [bold]{args.page}[/bold]")
 
 
 def _tell(found: Transfer, console: Console) -> None:

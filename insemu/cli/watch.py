@@ -10,7 +10,7 @@ import typer
 
 from insemu import units
 from insemu.cli.logs import column_names, hertz
-from insemu.cli.options import DRAWS, argument, option
+from insemu.cli.options import DRAWS, Arguments, argument, option
 from insemu.units import parse_unit
 
 if TYPE_CHECKING:
@@ -22,33 +22,37 @@ if TYPE_CHECKING:
     Pieces = Iterator[list[np.ndarray]]
 
 
-def command(
+class WatchArguments(Arguments):
+    """Of ``insemu watch``."""
+
     file: str = argument(
         "LOG", "Log at rest; - reads lines of CSV from standard input as they come (header with units)."
-    ),
-    model: str = option("--model", ...),
-    window: str = option("--window", "60 s"),
-    false_alarms: float = option("--false-alarm", 1e-3, "Probability that a window of an axis alarms wrongly."),
-    learn: int = option("--learn", 10, min=1, max=DRAWS),
-    every: int = option("--every", 10, min=1, max=DRAWS),
-    columns: list[str] | None = option("--columns", None),
-    rate: str = option("--rate", ""),
-    as_json: bool = option("--json", False, "A line of JSON per fit and alarm."),
-) -> None:
+    )
+    model: str = option("--model", ...)
+    window: str = option("--window", "60 s")
+    false_alarms: float = option("--false-alarm", 1e-3, "Probability that a window of an axis alarms wrongly.")
+    learn: int = option("--learn", 10, min=1, max=DRAWS)
+    every: int = option("--every", 10, min=1, max=DRAWS)
+    columns: list[str] | None = option("--columns", None)
+    rate: str = option("--rate", "")
+    as_json: bool = option("--json", False, "A line of JSON per fit and alarm.")
+
+
+def command(args: WatchArguments) -> None:
     """Watch a signal: the noise model with intervals as it is learnt, and alarms at a stated rate of false ones."""
     from insemu.fit import OnlineFit
     from insemu.noise import NoiseModel
 
-    read = _standard_input if file == "-" else partial(_file, file)
-    series, pieces = read(hertz(rate), columns)
+    read = _standard_input if args.file == "-" else partial(_file, args.file)
+    series, pieces = read(hertz(args.rate), args.columns)
     watched = [
         OnlineFit(
-            NoiseModel.parse(model, s.unit),
+            NoiseModel.parse(args.model, s.unit),
             s.rate_hz,
-            window_s=units.parse(window, "s"),
-            false_alarms=false_alarms,
-            learn=learn,
-            every=every,
+            window_s=units.parse(args.window, "s"),
+            false_alarms=args.false_alarms,
+            learn=args.learn,
+            every=args.every,
             unit=s.unit,
             name=s.name,
         )
@@ -58,9 +62,9 @@ def command(
     for piece in pieces:
         for one, values in zip(watched, piece, strict=True):
             for event in one.push(values):
-                alarms += _tell(one.name, event, as_json)
-    if not as_json:
-        typer.echo(f"{alarms} alarms; {false_alarms:g} of the windows of an axis alarm without a cause", err=True)
+                alarms += _tell(one.name, event, args.as_json)
+    if not args.as_json:
+        typer.echo(f"{alarms} alarms; {args.false_alarms:g} of the windows of an axis alarm without a cause", err=True)
 
 
 def _file(file: str, rate_hz: float | None, columns: list[str] | None) -> tuple[list[Series], Pieces]:

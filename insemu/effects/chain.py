@@ -43,10 +43,8 @@ class Response:
         warm_places = np.array([w[:3] for w in warm], dtype=np.int64).reshape(-1, 3)
         warm_factors = np.array([w[3] for w in warm], dtype=np.float64)
         levels = np.array([row for _, row in self.changing]).reshape(-1, signal.shape[1])
-        passes.respond(
-            signal, self.mounting, self.matrix, self.asymmetry, self.square, self.cube, self.offset, places, factors,
-            warm_places, warm_factors, levels,
-        )  # fmt: skip
+        sums = self.mounting, self.matrix, self.asymmetry, self.square, self.cube, self.offset
+        passes.respond(signal, passes.ResponseArrays(*sums, places, factors, warm_places, warm_factors, levels))
 
 
 @dataclass

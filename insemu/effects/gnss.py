@@ -554,7 +554,7 @@ class PositionFilter(_OfFixes):
             a = motion.steady_acceleration[:, k]
             M[:, k] = -_behind_tracker(fixes.t, motion.t, a, swing[:, k], tau) / tau**2
         label = "tau" if len(axes) > 1 else f"tau_{axes[0]}"
-        return Column.of(self, "gnss", label, axes, fixes=M, power=2.0)
+        return Column.of(self, "gnss", label, axes, fixes=M).raised(2.0)
 
 
 def _behind_tracker(at: Array, t: Array, acceleration: Array, swing: Array, tau: float) -> Array:

@@ -85,9 +85,7 @@ class Column:
         axes: tuple[str, ...],
         inputs: tuple[tuple[int, Array], ...] = (),
         fixes: Array | None = None,
-        runs: bool = False,
         start: Array | None = None,
-        power: float = 1.0,
     ) -> Column:
         """A column at the datasheet's scale.
 
@@ -97,12 +95,16 @@ class Column:
         sensor : str
         label : str
             Begins with the name of the parameter.
-        axes, inputs, fixes, runs, start, power
+        axes, inputs, fixes, start
             See :class:`Column`.
         """
         parameter = label.partition("_")[0]
         scale, unit = effect.scale(parameter, sensor), effect.unit(parameter, sensor)
-        return cls(effect.id, sensor, label, axes, scale**power, unit, inputs, fixes, runs, start, power)
+        return cls(effect.id, sensor, label, axes, scale, unit, inputs, fixes, start=start)
+
+    def raised(self, power: float) -> Column:
+        """The same column, whose coefficient is the parameter to a power."""
+        return replace(self, scale=self.scale**power, power=power)
 
     def parameter(self, coefficient: float, sd: float) -> tuple[float, float]:
         """Value and standard deviation of the parameter.

@@ -7,6 +7,7 @@ go to a threaded library whose threads wait longer than they work.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,21 +103,36 @@ def leave_out(
         signal[5, k] -= cp * cr * offset
 
 
+class ResponseArrays(NamedTuple):
+    """What a sensor makes of the true signal, as arrays.
+
+    Parameters
+    ----------
+    mounting : (3, 3) array
+    matrix : (6, 6) array
+        Scale factors, misalignments, g-sensitivities.
+    asymmetry, square, cube, offset : (6,) arrays
+    places, factors : (m, 3) and (m,) arrays
+        Products of two signals.
+    warm_places, warm_factors, levels : (m, 3), (m,) and (q, n) arrays
+        Factors that change with time.
+    """
+
+    mounting: Array
+    matrix: Array
+    asymmetry: Array
+    square: Array
+    cube: Array
+    offset: Array
+    places: NDArray[np.int64]
+    factors: Array
+    warm_places: NDArray[np.int64]
+    warm_factors: Array
+    levels: Array
+
+
 @njit(cache=True, nogil=True)
-def respond(
-    signal: Array,
-    mounting: Array,
-    matrix: Array,
-    asymmetry: Array,
-    square: Array,
-    cube: Array,
-    offset: Array,
-    places: NDArray[np.int64],
-    factors: Array,
-    warm_places: NDArray[np.int64],
-    warm_factors: Array,
-    levels: Array,
-) -> None:
+def respond(signal: Array, of: ResponseArrays) -> None:
     """Functions of the true signal, all of the same true signal.
 
     ``x = mounting s`` for the gyroscopes and the accelerometers, then ``y = x + matrix x + asymmetry |x| + square x^2 + cube x^3 + offset``,
@@ -127,15 +143,9 @@ def respond(
     ----------
     signal : (6, n) array
         In place.
-    mounting : (3, 3) array
-    matrix : (6, 6) array
-        Scale factors, misalignments, g-sensitivities.
-    asymmetry, square, cube, offset : (6,) arrays
-    places, factors : (m, 3) and (m,) arrays
-        Products of two signals.
-    warm_places, warm_factors, levels : (m, 3), (m,) and (q, n) arrays
-        Factors that change with time.
+    of : ResponseArrays
     """
+    mounting, matrix, asymmetry, square, cube, offset, places, factors, warm_places, warm_factors, levels = of
     x = np.empty(6)
     for k in range(signal.shape[1]):
         for i in range(3):

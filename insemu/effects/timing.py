@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -77,7 +79,7 @@ class ClockDrift(Effect):
         a_b = np.einsum("nji,nj->ni", motion.C, motion.gravity if motion.summed else motion.acceleration)
         inputs = on_axes(a_b, 3) + (() if motion.summed else on_axes(motion.rate))
         start = begun * fixes.start if begun else None
-        return [Column.of(self, "imu", "drift", (), inputs, fixes.moved * late, runs=True, start=start)]
+        return [replace(Column.of(self, "imu", "drift", (), inputs, fixes.moved * late, start), runs=True)]
 
     def hidden(self, lot: DriveLot) -> Hidden:
         """A constant."""

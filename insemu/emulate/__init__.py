@@ -25,7 +25,7 @@ from insemu.emulate.receiver import single_point
 from insemu.emulate.reckon import DeadReckoning, dead_reckon
 from insemu.emulate.satellites import CONSTELLATIONS, Multipath, Receiver, Sky, observed, seen, sky_over
 from insemu.emulate.sensor import Corrupted, TemperatureProfile, corrupt, covariates_of
-from insemu.emulate.sources import Source, load_flight, read_track
+from insemu.emulate.sources import MotionSource, Source, load_flight, read_track
 from insemu.emulate.track import SmoothedTrack, Track, bridged_gap, held_out_distance, smooth_track, turn_rate
 from insemu.emulate.trajectory import TRAJECTORIES, built_in
 from insemu.emulate.vehicle import VEHICLES
@@ -45,6 +45,7 @@ __all__ = [
     "Following",
     "IdealImu",
     "Levels",
+    "MotionSource",
     "MotionSpectrum",
     "Mount",
     "Mounting",

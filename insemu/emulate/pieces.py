@@ -232,6 +232,7 @@ class Following:
         return errors - self._mean, slow - self._mean
 
 
+@dataclass(eq=False)
 class _Simulated:
     """Pieces of simulated records, drawn record by record; see :func:`simulated_pieces`.
 
@@ -247,23 +248,20 @@ class _Simulated:
         Samples of a piece at which true states are kept.
     """
 
-    def __init__(
-        self,
-        models: Mapping[str, NoiseModel] | Callable[[int], Mapping[str, NoiseModel]],
-        rng: Callable[[int, int], np.random.Generator],
-        rate_hz: float,
-        intervals: int,
-        length: int,
-        centred: bool,
-        at: NDArray[np.intp],
-        covariates: Mapping[str, Array],
-    ) -> None:
-        self.models, self.rng, self.rate_hz, self.covariates = models, rng, rate_hz, covariates
-        self.intervals, self.length, self.centred, self.at = intervals, length, centred, at
+    models: Mapping[str, NoiseModel] | Callable[[int], Mapping[str, NoiseModel]]
+    rng: Callable[[int, int], np.random.Generator]
+    rate_hz: float
+    intervals: int
+    length: int
+    centred: bool
+    at: NDArray[np.intp]
+    covariates: Mapping[str, Array]
+
+    def __post_init__(self) -> None:
         ready = self.sensor(0)
         # some processes have no finite states; a removed mean belongs to no single process
-        self.single = at.size > 0 and not centred and all(p.own_block for model in ready for p in model)
-        named = augment(dict(zip(AXES, ready, strict=True)), 1.0 / rate_hz).layout.names[9:] if self.single else ()
+        self.single = self.at.size > 0 and not self.centred and all(p.own_block for model in ready for p in model)
+        named = augment(dict(zip(AXES, ready, strict=True)), 1.0 / self.rate_hz).layout.names[9:] if self.single else ()
         self.names = tuple(named)
         self._kept: dict[int, Future[_Record]] = {}
         self._lock = Lock()

@@ -47,18 +47,9 @@ class Source:
     track: SmoothedTrack | None = None
 
 
-def load_flight(
-    *,
-    builtin: str | None = None,
-    waypoints: str | Path | None = None,
-    track: str | Path | None = None,
-    motion: str | Path | None = None,
-    vehicle: str | Moving = "car",
-    speed: float | None = None,
-    max_gap_s: float = 10.0,
-    duration_s: float | None = None,
-) -> Source:
-    """Load a flight from exactly one of its sources.
+@dataclass(frozen=True, kw_only=True)
+class MotionSource:
+    """Where a motion comes from: exactly one of the first four, and how it is used.
 
     Parameters
     ----------
@@ -78,54 +69,61 @@ def load_flight(
         Longest gap of a track that is bridged.
     duration_s : float, optional
         How much of it is wanted, s: a table at rest is made that long, another built-in motion is repeated, a file must last so long.
+    """
+
+    builtin: str | None = None
+    waypoints: str | Path | None = None
+    track: str | Path | None = None
+    motion: str | Path | None = None
+    vehicle: str | Moving = "car"
+    speed: float | None = None
+    max_gap_s: float = 10.0
+    duration_s: float | None = None
+
+    @property
+    def kind(self) -> str:
+        """Of the vehicle."""
+        return self.vehicle.vehicle.kind if isinstance(self.vehicle, Moving) else self.vehicle
+
+
+def load_flight(source: MotionSource) -> Source:
+    """Load a flight.
+
+    Parameters
+    ----------
+    source : MotionSource
 
     Raises
     ------
     InputError
         No source or several; a file that cannot be used; a source that ends before ``duration_s``.
     """
-    source = _glided(builtin, waypoints, track, motion, vehicle, speed, max_gap_s, duration_s)
+    found, vehicle = _glided(source), source.vehicle
     if isinstance(vehicle, Moving):
-        return replace(source, flight=replace(source.flight, path=vehicle.on(source.flight.path)))
-    return source
+        return replace(found, flight=replace(found.flight, path=vehicle.on(found.flight.path)))
+    return found
 
 
-def _glided(
-    builtin: str | None,
-    waypoints: str | Path | None,
-    track: str | Path | None,
-    motion: str | Path | None,
-    vehicle: str | Moving,
-    speed: float | None,
-    max_gap_s: float,
-    duration_s: float | None,
-) -> Source:
+def _glided(asked: MotionSource) -> Source:
     """A flight whose body follows its path, at least as long as asked for."""
-    if builtin == "static" and duration_s is not None:
+    duration_s = asked.duration_s
+    if asked.builtin == "static" and duration_s is not None:
         return Source(static(duration_s))
-    kind, jerk = (vehicle.vehicle.kind, vehicle.vehicle.jerk) if isinstance(vehicle, Moving) else (vehicle, None)
-    source = _load(builtin, waypoints, track, motion, kind, jerk, speed, max_gap_s)
+    source = _load(asked)
     length = source.flight.path.end - source.flight.path.start
     if duration_s is not None and duration_s > length + 1e-6:
-        if builtin is not None:
+        if asked.builtin is not None:
             return Source(repeated(source.flight, duration_s))
-        name = next(str(p) for p in (waypoints, track, motion) if p is not None)
+        name = next(str(p) for p in (asked.waypoints, asked.track, asked.motion) if p is not None)
         raise InputError(
             f"the motion ends after {length:g} s, but a duration of {duration_s:g} s is asked for", where=name
         )
     return source
 
 
-def _load(
-    builtin: str | None,
-    waypoints: str | Path | None,
-    track: str | Path | None,
-    motion: str | Path | None,
-    vehicle: str,
-    jerk: float | None,
-    speed: float | None,
-    max_gap_s: float,
-) -> Source:
+def _load(asked: MotionSource) -> Source:
+    builtin, waypoints, track, motion = asked.builtin, asked.waypoints, asked.track, asked.motion
+    vehicle, jerk = asked.kind, asked.vehicle.vehicle.jerk if isinstance(asked.vehicle, Moving) else None
     given = {"builtin": builtin, "waypoints": waypoints, "track": track, "motion": motion}
     named = [name for name, value in given.items() if value is not None]
     if len(named) != 1:
@@ -134,14 +132,16 @@ def _load(
     if builtin is not None:
         return Source(built_in(builtin))
     if waypoints is not None:
-        made = route(read_waypoints(waypoints, speed), vehicle)
+        made = route(read_waypoints(waypoints, asked.speed), vehicle)
         return Source(made.flight, made.warnings)
     if motion is not None:
         flight = read_motion(motion)
         return Source(flight, odd_places(str(motion), flight.path.origin[None], vehicle_of(flight.vehicle)))
     assert track is not None
     recorded = read_track(track)  # its clock may count from 1970; a flight's begins with it
-    smoothed = smooth_track(replace(recorded, t=recorded.t - recorded.t[0]), vehicle, jerk=jerk, max_gap_s=max_gap_s)
+    smoothed = smooth_track(
+        replace(recorded, t=recorded.t - recorded.t[0]), vehicle, jerk=jerk, max_gap_s=asked.max_gap_s
+    )
     path = smoothed.path
     flight = Flight(path, vehicle, (Leg("track", path.start, path.end, False),))
     return Source(flight, smoothed.warnings, smoothed)

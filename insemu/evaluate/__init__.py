@@ -47,7 +47,7 @@ from insemu.evaluate.results import (
     summary,
     verdicts,
 )
-from insemu.evaluate.running import chosen, fly, fly_part, run_experiment
+from insemu.evaluate.running import ALONE, Resources, chosen, fly, fly_part, run_experiment
 from insemu.evaluate.shards import Shard, check_complete, note, noted
 from insemu.evaluate.standings import Standing, answer
 from insemu.evaluate.sweep import Row, Sweep, best_of, conditions, front
@@ -58,6 +58,7 @@ from insemu.evaluate.ways import ways_of_run
 from insemu.evaluate.world import input_files
 
 __all__ = [
+    "ALONE",
     "CACHE",
     "COMPONENTS",
     "MARKER",
@@ -73,6 +74,7 @@ __all__ = [
     "Goal",
     "LinearTwin",
     "Look",
+    "Resources",
     "Results",
     "Row",
     "Shard",

@@ -15,8 +15,9 @@ import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike, NDArray
 
 from insemu.augment import Augmentation
+from insemu.emulate import TrueStates
 from insemu.errors import InputError
-from insemu.evaluate.verdict import COVERAGE, MEAN_SQUARE, Verdict, Word, judged
+from insemu.evaluate.verdict import COVERAGE, MEAN_SQUARE, Expected, Verdict, Word, judged
 from insemu.filters import FilterResult, FixTable
 
 Array = NDArray[np.float64]
@@ -137,9 +138,7 @@ def sensor_errors(
     rows: NDArray[np.intp],
     covariance: Array,
     measured: Array,
-    true_axes: Array | None,
-    true_states: Array | None,
-    true_names: Sequence[str] = (),
+    true: TrueStates | None,
 ) -> SensorErrors:
     """Compare a filter's augmented states with the true ones.
 
@@ -156,18 +155,18 @@ def sensor_errors(
         At these rows.
     measured : (k, 6) or (k, 12) array
         Rows of what the filter senses there (:meth:`insemu.augment.Augmentation.sensed`), rates.
-    true_axes, true_states, true_names : (k, 6), (k, m) arrays, sequence of str
-        See :class:`insemu.emulate.pieces.TrueStates`; None: not known.
+    true : TrueStates or None
+        None: not known.
     """
     estimate = result.imu_states[rows]
     C = augmentation.output(measured)  # of every row where calibration states are carried, one for all elsewhere
     spread = C @ covariance[:, 9:, 9:] @ np.swapaxes(C, -1, -2)
     axes = np.full((len(rows), 6), np.nan)
-    if true_axes is not None:
-        axes = (C @ estimate[:, :, None])[:, :, 0] - true_axes
+    if true is not None:
+        axes = (C @ estimate[:, :, None])[:, :, 0] - true.axes
     states = np.full(estimate.shape, np.nan)
-    if true_states is not None and augmentation.layout.names[9:] == tuple(true_names):
-        states = estimate - true_states
+    if true is not None and true.states is not None and augmentation.layout.names[9:] == true.names:
+        states = estimate - true.states
     return SensorErrors(axes, spread, states)
 
 
@@ -340,10 +339,8 @@ def whiteness_verdicts(sums: ArrayLike, counts: ArrayLike, *, confidence: float 
         if n == 0:
             raise InputError(f"too few fixes for a lag of {lag}")
         value, bound = float(s / n), float(z / math.sqrt(n))
-        name, words = f"innovations at lag {lag}", (coloured, coloured)
-        out.append(
-            judged("whiteness", name, value, (-bound, bound), confidence, int(n), expected=0.0, size=0.0, words=words)
-        )
+        name, white = f"innovations at lag {lag}", Expected(0.0, 0.0, (coloured, coloured))
+        out.append(judged("whiteness", name, value, (-bound, bound), confidence, int(n), white))
     return out
 
 
@@ -384,11 +381,8 @@ def coverage_test(
         count = round(runs * epochs / float(design[i]))
         low, high = binom.ppf(tail, count, expected) / count, binom.isf(tail, count, expected) / count
         test, found = f"{factor:g}-sigma coverage", float(share[i])
-        out.append(
-            judged(
-                test, name, found, (low, high), confidence, count, expected=expected, size=COVERAGE, words=_FEW_OR_MANY
-            )
-        )
+        right = Expected(expected, COVERAGE, _FEW_OR_MANY)
+        out.append(judged(test, name, found, (low, high), confidence, count, right))
     return out
 
 

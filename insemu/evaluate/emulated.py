@@ -19,6 +19,7 @@ from insemu.emulate import (
     AreaOutage,
     ErrorPieces,
     IdealImu,
+    MotionSource,
     Moving,
     Outage,
     RecordedErrors,
@@ -139,14 +140,16 @@ class EmulatedWorld:
         source, own = self.source, self.source.vehicle
         vehicle = own if isinstance(own, str) else self._moving(own)
         return load_flight(
-            builtin=source.builtin,
-            waypoints=self.files[source.waypoints] if source.waypoints else None,
-            track=self.files[source.track] if source.track else None,
-            motion=self.files[source.motion] if source.motion else None,
-            vehicle=vehicle,
-            speed=source.speed,
-            max_gap_s=source.max_gap,
-            duration_s=source.duration,
+            MotionSource(
+                builtin=source.builtin,
+                waypoints=self.files[source.waypoints] if source.waypoints else None,
+                track=self.files[source.track] if source.track else None,
+                motion=self.files[source.motion] if source.motion else None,
+                vehicle=vehicle,
+                speed=source.speed,
+                max_gap_s=source.max_gap,
+                duration_s=source.duration,
+            )
         )
 
     def _vehicle_file(self, keys: VehicleKeys) -> Path:

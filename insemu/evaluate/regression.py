@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from insemu.errors import InputError
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.results import Results
-from insemu.evaluate.running import run_experiment
+from insemu.evaluate.running import Resources, run_experiment
 from insemu.filters import FilterParts
 from insemu.noise import NoiseModel
 from insemu.whole import put
@@ -317,10 +317,13 @@ def smallest_detectable(
     """
     count = sum(len(f) for f in baseline.figures.values())
     held = baseline.figures[design]
-    plain = figures(run_experiment(experiment, realizations=2, workers=workers), design)
+    plain = figures(run_experiment(experiment, realizations=2, resources=Resources(workers=workers)), design)
     out = {}
     for a in alterations(experiment, design, 1.0 + step):
-        moved = figures(run_experiment(AlteredExperiment(experiment, a), realizations=2, workers=workers), design)
+        moved = figures(
+            run_experiment(AlteredExperiment(experiment, a), realizations=2, resources=Resources(workers=workers)),
+            design,
+        )
         best = math.inf
         for name, before in held.items():
             n = before.size
@@ -358,7 +361,7 @@ def assert_unchanged(
     from insemu.scenario import load
 
     held = Baseline.read(baseline)
-    results = run_experiment(Experiment(load(str(scenario)), str(scenario)), workers=workers)
+    results = run_experiment(Experiment(load(str(scenario)), str(scenario)), resources=Resources(workers=workers))
     changed = [c for c in check(results, held, false_alarm=false_alarm) if c.significant]
     if changed:
         raise AssertionError("the designs changed against the baseline:\n" + "\n".join(f"  {c}" for c in changed))
@@ -393,7 +396,7 @@ def trial(
         original = make(baseline.seed + 1 + number)
         for case in cases:
             flown = original if case is None else AlteredExperiment(original, case)
-            results = run_experiment(flown, workers=workers)
+            results = run_experiment(flown, resources=Resources(workers=workers))
             label = "other draws" if case is None else f"{case} x {case.factor:g}"
             caught = any(c.significant for c in check(results, baseline, false_alarm=false_alarm))
             out[label] = out.get(label, 0) + caught

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -55,6 +56,35 @@ def silent(done: int, total: int, label: str) -> None:
     """
 
 
+@dataclass(frozen=True)
+class Resources:
+    """What realizations are flown with.
+
+    Parameters
+    ----------
+    workers : int
+        Threads (the compiled filter frees the GIL); one is the thread that calls.
+    executor : Executor, optional
+        Any ``concurrent.futures`` executor instead, for example a cluster's; the experiment must be picklable there.
+    cache : path, optional
+        Folder in which finished realizations are kept and looked for.
+    progress : callable
+        Called with (done, total, label).
+    say : callable
+        Given in words what kept realizations are not taken.
+    """
+
+    workers: int = 1
+    executor: Executor | None = None
+    cache: Path | None = None
+    progress: Progress = silent
+    say: Callable[[str], None] = lambda text: None
+
+
+#: The thread that calls.
+ALONE = Resources()
+
+
 def manifest_of(experiment: Experiment) -> dict[str, Any]:
     """What a result needs to be a result: resolved scenario, digest, seed, and what else it depends on."""
     return {
@@ -77,11 +107,7 @@ def run_experiment(
     experiment: Experiment,
     *,
     realizations: int | None = None,
-    workers: int = 1,
-    executor: Executor | None = None,
-    cache: Path | None = None,
-    progress: Progress = silent,
-    say: Callable[[str], None] = lambda text: None,
+    resources: Resources = ALONE,
     preview: Callable[[Results], None] | None = None,
 ) -> Results:
     """Run every realization and collect.
@@ -91,16 +117,7 @@ def run_experiment(
     experiment : Experiment
     realizations : int, optional
         Number to run; default the scenario's.
-    workers : int
-        Threads (the compiled filter frees the GIL); one is the thread that calls.
-    executor : Executor, optional
-        Any ``concurrent.futures`` executor instead, for example a cluster's; the experiment must be picklable there.
-    cache : path, optional
-        Folder in which finished realizations are kept and looked for.
-    progress : callable
-        Called with (done, total, label).
-    say : callable
-        Told in words of kept realizations that are not taken.
+    resources : Resources
     preview : callable, optional
         Given the results of the first :data:`PREVIEWED` realizations that are there, where more will follow.
 
@@ -118,26 +135,22 @@ def run_experiment(
             if len(there) == PREVIEWED:
                 preview(collected(experiment, dict(enumerate(there)), time.perf_counter() - started))
 
-    means: dict[str, Any] = {"workers": workers, "executor": executor, "cache": cache, "say": say}
     if total <= FULL:
         soon = 0 if preview is None else PREVIEWED
-        flown = fly(experiment, range(total), progress=progress, done=done, soon=soon, **means)
+        flown = fly(experiment, range(total), resources, done=done, soon=soon)
         return collected(experiment, dict(enumerate(flown)), time.perf_counter() - started)
-    whole = condensed(experiment, range(total), progress=progress, done=done, **means)
+    whole = condensed(experiment, range(total), resources, done=done)
     assert whole is not None
     few = sorted(chosen(whole, list(experiment.beliefs)))
-    again = fly(experiment, few, **means)  # the same numbers to the bit
+    again = fly(experiment, few, replace(resources, progress=silent))  # the same numbers to the bit
     return collected(experiment, dict(zip(few, again, strict=True)), time.perf_counter() - started, whole)
 
 
 def condensed(
     experiment: Experiment,
     span: range,
-    *,
-    cache: Path | None = None,
-    say: Callable[[str], None] = lambda text: None,
-    progress: Progress = silent,
-    **means: Any,
+    resources: Resources,
+    done: Callable[[xr.Dataset], None] = lambda item: None,
 ) -> Tally | None:
     """Fly realizations that follow each other, and add them up; what is complete takes the place of its parts among what is kept.
 
@@ -145,7 +158,7 @@ def condensed(
     ----------
     experiment : Experiment
     span : range
-    cache, say, progress, means
+    resources, done
         As in :func:`fly`.
 
     Returns
@@ -153,6 +166,7 @@ def condensed(
     Tally
         Of all of them; None where the first is not the experiment's.
     """
+    cache, say, progress = resources.cache, resources.say, resources.progress
     parts, whole = (None, None) if cache is None else (kept(experiment, cache, say), nodes(experiment, cache, say))
 
     def made(size: int, first: int, node: Tally) -> None:
@@ -167,14 +181,8 @@ def condensed(
     plan = pieces(span, held)
     missing = [first for size, first in plan if size == 1]
     before = len(span) - len(missing)
-    flown = fly(
-        experiment,
-        missing,
-        cache=cache,
-        say=say,
-        progress=lambda done, _, what: progress(before + done, len(span), what),
-        **means,
-    )
+    here = replace(resources, progress=lambda done, _, what: progress(before + done, len(span), what))
+    flown = fly(experiment, missing, here, done=done)
     ladder, t = Ladder(span.start, made), experiment.world.output_times
     for size, first in plan:
         if size == 1:
@@ -189,20 +197,19 @@ def condensed(
     return None if span.start else ladder.total()
 
 
-def fly_part(experiment: Experiment, span: range, **means: Any) -> None:
+def fly_part(experiment: Experiment, span: range, resources: Resources) -> None:
     """Fly a part of an experiment's realizations for those who gather all of them later, and keep it.
 
     Parameters
     ----------
     experiment : Experiment
     span : range
-    means
-        As in :func:`fly`.
+    resources : Resources
     """
     if experiment.realizations > FULL:
-        condensed(experiment, span, **means)
+        condensed(experiment, span, resources)
     else:
-        for _ in fly(experiment, span, **means):
+        for _ in fly(experiment, span, resources):
             pass
 
 
@@ -228,12 +235,8 @@ def chosen(whole: Tally, designs: Sequence[str]) -> dict[int, str]:
 def fly(
     experiment: Experiment,
     realizations: Sequence[int],
+    resources: Resources = ALONE,
     *,
-    workers: int = 1,
-    executor: Executor | None = None,
-    cache: Path | None = None,
-    progress: Progress = silent,
-    say: Callable[[str], None] = lambda text: None,
     done: Callable[[xr.Dataset], None] = lambda item: None,
     soon: int = 0,
 ) -> Generator[xr.Dataset]:
@@ -243,13 +246,13 @@ def fly(
     ----------
     experiment : Experiment
     realizations : sequence of int
-    workers, executor, cache, progress, say
-        As in :func:`run_experiment`.
+    resources : Resources
     done : callable
-        Told of every realization as it is there, in any order.
+        Given every realization as it is there, in any order.
     soon : int
         Realizations at the beginning that wait for no other.
     """
+    workers, progress, cache, say = resources.workers, resources.progress, resources.cache, resources.say
     progress(0, len(realizations), "preparing")
     for name in experiment.beliefs:  # fits are made once, before the workers, and whatever is wrong with them is said
         experiment.filter(name)
@@ -266,7 +269,7 @@ def fly(
     alone = None if cache is None else kept(experiment, cache, say)
     store = None if alone is None else _Together(alone)
     with ExitStack() as stack:
-        pool = executor
+        pool = resources.executor
         if (
             pool is None and workers > 1
         ):  # one worker is this thread: what was freed here is used again, another thread has memory of its own

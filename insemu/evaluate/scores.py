@@ -58,8 +58,7 @@ def sensor_scores(
     step = (whole.t[np.maximum(rows, 1)] - whole.t[np.maximum(rows, 1) - 1])[:, None]
     measured = np.hstack([part[rows] for part in ekf.augmentation.sensed(whole)]) / step
     at = np.searchsorted(run.t, times - 1e-9)
-    axes, states, names = (None, None, ()) if true is None else (true.axes, true.states, true.names)
-    sensed = sensor_errors(run, ekf.augmentation, at, covariance, measured, axes, states, names)
+    sensed = sensor_errors(run, ekf.augmentation, at, covariance, measured, true)
     return {
         "block_nees": block_nees(error, covariance, sensed),
         "axis_error": sensed.axes,

@@ -7,8 +7,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from insemu.errors import InputError
 from insemu.evaluate.control import previewed
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.results import Results
-from insemu.evaluate.running import Progress, run_experiment, silent
+from insemu.evaluate.running import ALONE, Progress, Resources, run_experiment, silent
 from insemu.evaluate.standings import MATERIAL, standings
 from insemu.evaluate.twin import LinearTwin
 from insemu.scenario import Scenario, load
@@ -287,11 +286,9 @@ class Sweep:
     def rows(
         self,
         folder: Path,
+        resources: Resources = ALONE,
         *,
-        workers: int = 1,
-        executor: Executor | None = None,
         progress: Callable[[int, int], Progress] = lambda done, total: silent,
-        say: Callable[[str], None] = lambda text: None,
     ) -> Iterator[list[Row]]:
         """Fly point after point, or take what is kept, and yield the rows of each.
 
@@ -299,8 +296,8 @@ class Sweep:
         ----------
         folder : path
             Where finished points and, until a point is finished, its realizations are kept.
-        workers, executor, say
-            As in :func:`insemu.evaluate.run_experiment`.
+        resources : Resources
+            Without folder and progress.
         progress : callable
             Given the number of points that are done and of all; gives the progress of the next one.
         """
@@ -308,16 +305,13 @@ class Sweep:
             step = progress(k, len(self.scenarios))
             experiment = Experiment(scenario, self.file)
             what = f"{experiment.digest}-{'linear-' * bool(self.linear)}{self.linear or experiment.realizations}"
-            kept: Files[list[dict[str, Any]]] = Files(folder, what, _encoded, json.loads, say)
+            kept: Files[list[dict[str, Any]]] = Files(folder, what, _encoded, json.loads, resources.say)
             if (found := kept.get(what)) is None:
                 if self.linear:
                     found = _linear_rows(experiment, self.linear, step)
                 else:
-                    cache = folder / "flying"
-                    results = run_experiment(
-                        experiment, workers=workers, executor=executor, cache=cache, progress=step, say=say
-                    )
-                    found = _flown_rows(results)
+                    here = replace(resources, cache=folder / "flying", progress=step)
+                    found = _flown_rows(run_experiment(experiment, resources=here))
                 kept.put(what, found)
                 _forget(folder / "flying" / experiment.digest)
             yield [Row(k + 1, self.labels(k), **row) for row in found]

@@ -7,7 +7,7 @@ said as certain and small, and counts as consistent.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 Word = Literal["consistent", "overconfident", "pessimistic", "correlated"]
 #: Relative difference of NEES and NIS per degree of freedom from 1 that moves no decision: sigmas that are 1 % too large or too small.
@@ -76,6 +76,14 @@ class Verdict:
         )
 
 
+class Expected(NamedTuple):
+    """What a right filter gives: a value, the difference from it that moves no decision, and words below and above the bounds."""
+
+    value: float = 1.0
+    size: float = MEAN_SQUARE
+    words: tuple[Word, Word] = ("pessimistic", "overconfident")
+
+
 def judged(
     test: str,
     subject: str,
@@ -83,24 +91,18 @@ def judged(
     bounds: tuple[float, float],
     confidence: float,
     count: int,
-    *,
-    expected: float = 1.0,
-    size: float = MEAN_SQUARE,
-    words: tuple[Word, Word] = ("pessimistic", "overconfident"),
+    expected: Expected = Expected(),  # noqa: B008 - immutable
 ) -> Verdict:
     """The verdict on a value.
 
     Parameters
     ----------
-    test, subject, value, confidence, count, size
+    test, subject, value, confidence, count
         As in :class:`Verdict`.
     bounds : (low, high)
-    expected : float
-        What a right filter gives on average.
-    words : two words
-        For a value below and for one above its bounds.
+    expected : Expected
     """
     low, high = bounds
-    inside = low <= value <= high or abs(value - expected) <= size
-    word: Word = "consistent" if inside else words[0] if value < low else words[1]
-    return Verdict(test, subject, value, low, high, confidence, count, word, size)
+    inside = low <= value <= high or abs(value - expected.value) <= expected.size
+    word: Word = "consistent" if inside else expected.words[0] if value < low else expected.words[1]
+    return Verdict(test, subject, value, low, high, confidence, count, word, expected.size)

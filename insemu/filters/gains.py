@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,20 +132,27 @@ def gains_along(
     )  # errors of the estimates act on navigation with the other sign than states
     K, out = np.zeros((len(H), ekf.layout.n, 6)), np.empty((rows.size, ekf.layout.n, ekf.layout.n))
     starts = np.searchsorted(intervals.at(events.epoch), np.arange(intervals.nodes.size + 1))
-    bad = _gains(
-        transitions(intervals, belief), belief.noise * np.outer(against, against), starts.astype(np.int64), H, noise, used.astype(np.float64),
-        intervals.at(rows), ekf.initial_covariance(start[1]), K, out,
-    )  # fmt: skip
+    fixes = _Fixes(starts.astype(np.int64), H, noise, used.astype(np.float64))
+    Q, P0 = belief.noise * np.outer(against, against), ekf.initial_covariance(start[1])
+    bad = _gains(transitions(intervals, belief), Q, fixes, intervals.at(rows), P0, K, out)
     if bad >= 0:
         raise InputError(f"the innovation covariance is not positive definite in component {bad}")
     return Gains(events.epoch, H, K, used), out
 
 
+class _Fixes(NamedTuple):
+    """Fixes by node: those of node k are ``starts[k]`` to ``starts[k + 1]``; ``H`` (f, 6, n), ``R`` (f, 6, 6), components ``used`` (f, 6)."""
+
+    starts: Ints
+    H: Array
+    R: Array
+    used: Array
+
+
 @njit(cache=True, nogil=True)
-def _gains(
-    T: Array, noise: Array, starts: Ints, H: Array, R: Array, used: Array, asked: Ints, P: Array, K: Array, out: Array
-) -> int:  # fmt: skip
+def _gains(T: Array, noise: Array, fixes: _Fixes, asked: Ints, P: Array, K: Array, out: Array) -> int:
     """Move ``P`` (n, n) from node to node: ``K`` (f, n, 6) at the fixes, ``out`` (o, n, n) at the nodes ``asked``; -1, or a bad component."""
+    starts, H, R, used = fixes
     n = P.shape[0]
     B, nu, dx, S, no_gate = np.empty((n, n)), np.zeros(6), np.empty(n), np.empty((6, 6)), np.full(7, np.inf)
     row = 0

@@ -67,10 +67,9 @@ def attitudes(angles: Array, turn: Array, dt: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _integrate(
-    t: Array, gyro: Array, accel: Array, bias: Array, turn: Array, k: Array, share: Array, out: Array
-) -> None:
+def _integrate(t: Array, gyro: Array, accel: Array, bias: Array, turn: Array, k: Array, share: Array) -> Array:
     """Rows (f, :data:`_ALL`) at the ``share`` of the step that ends at sample ``k`` (f,), ascending."""
+    out = np.empty((k.size, _ALL))
     s, before = np.zeros(_ALL), np.zeros(_ALL)
     s[0] = s[4] = s[8] = 1.0
     w, dv = np.empty(3), np.empty(3)
@@ -100,6 +99,7 @@ def _integrate(
             for i in range(_ALL):
                 out[at, i] = (1.0 - share[at]) * before[i] + share[at] * s[i]
             at += 1
+    return out
 
 
 @dataclass(frozen=True)
@@ -132,8 +132,7 @@ class Integrals:
         """Integrate a record of increments, less ``bias`` (6,), to the times ``at`` (f,), ascending; ``turn`` (3,) as in :func:`attitudes`."""
         k = np.searchsorted(r.t, at).clip(1, len(r) - 1)
         step = (r.t[k] - r.t[k - 1])[:, None]
-        out = np.empty((k.size, _ALL))
-        _integrate(r.t, r.gyro, r.accel, bias, turn, k, (at - r.t[k - 1]) / step[:, 0], out)
+        out = _integrate(r.t, r.gyro, r.accel, bias, turn, k, (at - r.t[k - 1]) / step[:, 0])
         Q, T, v_bg, p_bg, p_ba = (out[:, j : j + 9].reshape(-1, 3, 3) for j in (_Q, _T, _V_BG, _P_BG, _P_BA))
         near = r.gyro[np.stack([k, np.minimum(k + 1, len(r) - 1)])].mean(axis=0) / step - bias[:3]
         swing = np.einsum("kij,kj->ki", Q, np.cross(near - turn @ Q, lever_arm))

@@ -80,16 +80,24 @@ def seen_at_truth(ekf: LooselyCoupledEKF, imu: ImuRecord, nav: Array, events: Ev
     step = imu.widths(0.0)[events.epoch]
     c_of = np.broadcast_to(aug.coefficients(np.hstack(aug.sensed(imu))[events.epoch] / step), (f, aug.m))
     nu, H, R = np.zeros((f, 6)), np.zeros((f, 6, 9 + aug.m)), np.zeros((f, 6, 6))
-    _fixes(imu.t, imu.gyro, nav, events.epoch, events.tau, ekf.lever_arm, aug.white, np.array(c_of), aug.axis, nu, H, R)
+    seen = _Axes(aug.white, np.array(c_of), aug.axis, ekf.lever_arm)
+    _fixes(imu.t, imu.gyro, nav, events.epoch, events.tau, seen, Rows(nu, H, R))
     return nu, H, R
 
 
+class _Axes(NamedTuple):
+    """White noise of the axes (6,), coefficients of the states at every fix (f, m), the states' axes (m,), and the lever arm (3,)."""
+
+    white: Array
+    c_of: Array
+    axis: Ints
+    lever: Array
+
+
 @njit(cache=True, nogil=True)
-def _fixes(
-    t: Array, gyro: Array, nav: Array, epoch: Ints, tau: Array, lever: Array, white: Array, c_of: Array, axis: Ints, nu: Array, H: Array,
-    R: Array,
-) -> None:  # fmt: skip
-    """``nu``, ``H`` and ``R`` of :func:`seen_at_truth`."""
+def _fixes(t: Array, gyro: Array, nav: Array, epoch: Ints, tau: Array, seen: _Axes, rows: Rows) -> None:
+    """``rows`` (nu, H, R) of :func:`seen_at_truth`."""
+    (white, c_of, axis, lever), (nu, H, R) = seen, rows
     now, past, z, trend, clock = np.zeros(13), np.zeros(13), np.empty(6), np.zeros(12), np.zeros(2)
     for i in range(epoch.size):
         k = epoch[i]
@@ -106,9 +114,10 @@ def _fixes(
         fill_fix(moment, z, trend, Rows(nu[i], H[i], R[i]))
 
 
-class _Fixes(NamedTuple):
-    """Fixes of a :class:`JointSystem`."""
+class _Course(NamedTuple):
+    """Maps of the steps and fixes of a :class:`JointSystem`."""
 
+    maps: Array
     epoch: Ints
     M: Array
     R: Array
@@ -122,6 +131,14 @@ class _Entries(NamedTuple):
     q_at: Ints
     q: Array
     source: Ints
+
+
+class _Shares(NamedTuple):
+    """Variance by the noise of every fix (f,), by the driving noise of the states by source (sources,), by the white noise of the axes (6,)."""
+
+    fixes: Array
+    states: Array
+    axes: Array
 
 
 @dataclass(frozen=True)
@@ -149,6 +166,10 @@ class JointSystem:
     M: Array
     R: Array
 
+    @property
+    def _course(self) -> _Course:
+        return _Course(self.maps, self.epoch, self.M, self.R)
+
     def covariance(self, P0: Array, rows: Ints) -> Array:
         """Covariance at some rows of the IMU.
 
@@ -168,7 +189,7 @@ class JointSystem:
         out = np.empty((rows.size, *P0.shape))
         order = np.argsort(rows, kind="stable")
         samples = Samples(imu.t, gyro, accel, NO_POWER)
-        _forward(samples, self.maps, P0, p, _Fixes(self.epoch, self.M, self.R), rows[order], out)
+        _forward(samples, self._course, P0, p, rows[order], out)
         out[order] = out.copy()
         return out
 
@@ -201,18 +222,7 @@ class JointSystem:
         parts, axes, gained = np.zeros(sources), np.zeros(6), np.zeros(self.epoch.size)
         samples = Samples(imu.t, *s.sensed(imu), NO_POWER)
         entries = _Entries(*_sparse(s.Phi), *_sparse(s.Q), source)
-        _backward(
-            samples,
-            self.maps,
-            row,
-            initial,
-            pack(s, 1),
-            entries,
-            _Fixes(self.epoch, self.M, self.R),
-            gained,
-            parts,
-            axes,
-        )
+        _backward(samples, self._course, row, initial, pack(s, 1), entries, _Shares(gained, parts, axes))
         return initial, parts, axes, float(gained.sum())
 
 
@@ -249,10 +259,10 @@ def _maps(t: Array, gyro: Array, accel: Array, nav: Array, gravity: int, w: Arra
 
 
 @njit(cache=True, nogil=True)
-def _forward(samples: Samples, maps: Array, P0: Array, p: Packed, fixes: _Fixes, out_epoch: Ints, out: Array) -> None:
+def _forward(samples: Samples, course: _Course, P0: Array, p: Packed, out_epoch: Ints, out: Array) -> None:
     """Joint covariance along the reference; at a fix ``P <- M P M' + R``."""
     t, gyro, accel, _ = samples
-    place, c0, driver, slots, (fix_epoch, M, R) = p.place, p.c, p.driver, p.steps.slots, fixes
+    place, c0, driver, slots, (maps, fix_epoch, M, R) = p.place, p.c, p.driver, p.steps.slots, course
     steps = p.steps
     one = Transition(
         slots, steps.diagonal, steps.d[0], steps.phi[0], steps.offsets, steps.mix[0], steps.q_at, steps.q[0]
@@ -343,17 +353,17 @@ def _sparse(matrix: Array) -> tuple[Ints, Array]:
 
 @njit(cache=True, nogil=True)
 def _backward(
-    samples: Samples, maps: Array, last: int, L: Array, p: Packed, entries: _Entries, fixes: _Fixes, gained: Array, parts: Array, axes: Array
-) -> None:  # fmt: skip
+    samples: Samples, course: _Course, last: int, L: Array, p: Packed, entries: _Entries, out: _Shares
+) -> None:
     """Adjoint of the joint system from epoch ``last`` to the start.
 
-    ``L`` (n,) holds the functional and is overwritten by what the initial errors contribute linearly. ``parts`` (sources,) collects the
-    driving noise of the true states by source, ``axes`` (6,) the white noise of the axes, ``gained`` (f,) the noise of every fix.
+    ``L`` (n,) holds the functional and is overwritten by what the initial errors contribute linearly.
     """
     t, gyro, accel, _ = samples
     axis, c0, driver, white = p.axis, p.c, p.driver, p.white
     phi_at, phi, q_at, q, source = entries
-    fix_epoch, M, R = fixes
+    maps, fix_epoch, M, R = course
+    gained, parts, axes = out
     n = L.size
     m = n - 9
     u, old, next_x = np.zeros(6), np.zeros(9), np.zeros(m)

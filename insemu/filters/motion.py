@@ -14,6 +14,7 @@ never tells the heading is refused.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -104,6 +105,16 @@ class _Fit:
         J[3:6, 9:12], J[3:6, 12:15] = C @ i.v_bg[-1], C @ i.v_ba[-1]
         J[6:9, 9:12] = -C @ i.T[-1]
         return np.asarray(self.scale() * J @ self.covariance[:15, :15] @ J.T)
+
+
+class _Flight(NamedTuple):
+    """Increments of an IMU, all usable fixes, the lever arm (3,), the gravity model, and densities of white noise (gyroscopes, accelerometers)."""
+
+    imu: ImuRecord
+    fixes: GnssRecord
+    lever_arm: Array
+    gravity: str
+    noise: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -261,10 +272,9 @@ def _thinned(r: ImuRecord) -> ImuRecord:
     )
 
 
-def _stretch(
-    r: ImuRecord, gnss: GnssRecord, start: int, stop: int, lever_arm: Array, gravity: str, noise: tuple[float, float]
-) -> _Stretch:
+def _stretch(flight: _Flight, start: int, stop: int) -> _Stretch:
     """Fixes ``start`` to ``stop`` (included) and the IMU from the first to the last."""
+    r, gnss, lever_arm, gravity, noise = flight
     every = max(1, (stop - start) // MOST_FIXES)
     rows = np.unique(np.append(np.arange(start, stop + 1, every), stop))
     fixes = gnss.rows(np.isin(np.arange(len(gnss)), rows))
@@ -344,9 +354,8 @@ def align_in_motion(
     fixes = known.rows(good)
     quiet = quiet_stretches(imu, gnss)
     prior = _bias_prior(quiet)
-    noise = white_noise(r)
-    arm = np.asarray(lever_arm, dtype=np.float64)
-    coarse = _thinned(r)
+    flight = _Flight(r, fixes, np.asarray(lever_arm, dtype=np.float64), gravity, white_noise(r))
+    coarse = flight._replace(imu=_thinned(r))
     said = "fewer than five fixes after the first motion"
     for start in _moves_from(fixes):
         near: list[_Fit] = []
@@ -354,12 +363,12 @@ def align_in_motion(
             stop = int(np.searchsorted(fixes.t, fixes.t[start] + min(span, longest) + 1e-6)) - 1
             if stop - start < 4:
                 continue
-            stretch = _stretch(coarse, fixes, start, stop, arm, gravity, noise)
+            stretch = _stretch(coarse, start, stop)
             near, margin = stretch.best(prior, near)
             fit = near[0]
             said = f"its standard deviation after {stretch.t[-1]:.0f} s is {np.rad2deg(min(fit.heading_sigma, np.pi)):.1f} deg"
             if fit.heading_sigma <= COARSE and margin > WORSE and fit.plausible:
-                found = _refined(fit, stretch, r, fixes, arm, gravity, noise, longest)
+                found = _refined(fit, stretch, flight, longest)
                 if found is not None:
                     return replace(found, standstill=tuple((q.start, q.end) for q in quiet if q.still))
                 said = "the filter does not settle on it"
@@ -384,33 +393,19 @@ def white_noise(r: ImuRecord) -> tuple[float, float]:
     return max(float(density[:3].max()), 1e-6), max(float(density[3:].max()), 1e-5)
 
 
-def _refined(
-    fit: _Fit,
-    stretch: _Stretch,
-    r: ImuRecord,
-    fixes: GnssRecord,
-    lever_arm: Array,
-    gravity: str,
-    noise: tuple[float, float],
-    longest: float,
-) -> Alignment | None:
+def _refined(fit: _Fit, stretch: _Stretch, flight: _Flight, longest: float) -> Alignment | None:
     """The filter from the end of a stretch on; None where it finds itself on a wrong solution or the heading stays unknown.
 
     Parameters
     ----------
     fit, stretch
         Least squares, and what it was made of.
-    r : ImuRecord
-        Increments.
-    fixes : GnssRecord
-        All of them; those of the stretch are in the fit already.
-    lever_arm : (3,) array
-    gravity : str
-    noise : (gyroscopes, accelerometers)
-        Densities of white noise.
+    flight : _Flight
+        With all fixes; those of the stretch are in the fit already.
     longest : float
         Seconds from the start of the stretch to go on for at most.
     """
+    r, fixes, lever_arm, gravity, noise = flight
     begin = float(stretch.imu.t[0])
     here = begin + float(stretch.t[-1])
     first = int(np.searchsorted(r.t, here - 1e-9))

@@ -163,11 +163,19 @@ def _spread(p: Points, gamma: float, extra: float, mu: Array) -> None:
         p.rows[i, 0, 0] = math.sqrt(extra) * mu[i]
 
 
+class _Span(NamedTuple):
+    """Seconds and samples that points were flown for; mean attitude (3, 3) and specific force (3,) meanwhile."""
+
+    seconds: float
+    samples: int
+    C: Array
+    f_n: Array
+
+
 @njit(cache=True, nogil=True)
-def _renew(
-    p: Points, o: Design, S: Array, nav: Array, x: Array, C: Array, f_n: Array, c_of: Array, span: float, count: int
-) -> None:
-    """Estimate and factor from points that were flown for ``span`` seconds, ``count`` samples: their moments, and the noise driven meanwhile."""
+def _renew(p: Points, o: Design, estimate: Start, flown: _Span, c_of: Array) -> None:
+    """Estimate and factor from points that were flown: their moments, and the noise driven meanwhile."""
+    (nav, x, S), (span, count, C, f_n) = estimate, flown
     n, m = S.shape[0], x.size
     groups, mu = p.nav.shape[0], np.empty(n)
     _deviations(p)
@@ -236,23 +244,23 @@ def _move(p: Points, o: Design, r: Samples, k: int, c_of: Array) -> None:
         step(p.nav_l[g], inc[0, :3], inc[1, :3], inc[2, :3], inc[3, :3], dt, dt_before, o.plan.gravity)
 
 
-@njit(cache=True, nogil=True)
-def _rows_of(
-    p: Points,
-    o: Design,
-    dt: float,
-    event: tuple[int, float, Array, Array],
-    given: Array,
-    nav_before: Array,
-    count: int,
-    c_of: Array,
-    nu: Array,
-    R: Array,
-) -> None:
-    """Innovations of an event (kind, tau, z, settings) at every point, ``nu`` (points, w), and the noise at the centre, ``R`` (w, w).
+class _Past(NamedTuple):
+    """What led to an event: the last step (s), the state before it (13,), rates and coefficients of the states (m,).
 
-    ``given`` (3, 3) holds the last two rates and the mean rate, corrected by the central point's states.
+    ``rates`` (3, 3) are the last two rates and the mean rate over ``count`` samples, corrected by the central point's states.
     """
+
+    dt: float
+    nav: Array
+    rates: Array
+    samples: int
+    c_of: Array
+
+
+@njit(cache=True, nogil=True)
+def _rows_of(p: Points, o: Design, event: tuple[int, float, Array, Array], before: _Past, nu: Array, R: Array) -> None:
+    """Innovations of an event (kind, tau, z, settings) at every point, ``nu`` (points, w), and the noise at the centre, ``R`` (w, w)."""
+    dt, nav_before, given, count, c_of = before
     m, w, n = c_of.size, R.shape[0], p.d.shape[1]
     kind, tau, z, settings = event
     here, past, rates, lever, clock = np.empty(13), np.empty(13), np.empty((3, 3)), np.empty(3), np.zeros(2)
@@ -307,26 +315,27 @@ def _cholesky(A: Array) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
-def _absorb(
-    p: Points,
-    o: Design,
-    S: Array,
-    nu: Array,
-    R: Array,
-    var: Array,
-    at: Ints,
-    free: float,
-    dx: Array,
-    seen: Array,
-    S_out: Array,
-) -> tuple[float, int]:
-    """Use the components ``at`` (q,) of a measurement; returns the normalised innovation squared and 1 (used), 0 (rejected) or -1 (no factor).
+class _Measured(NamedTuple):
+    """``nu`` (points, w) and ``R`` (w, w) of :func:`_rows_of`, stated variances ``var`` (w,), and the components that are used, ``at`` (q,)."""
 
-    ``nu`` (points, w) and ``R`` (w, w) come from :func:`_rows_of`; ``dx`` (n,), ``seen`` (w,), ``S_out`` (w, w) are overwritten by the
-    estimated error, innovation and its
-    covariance.
-    """
+    nu: Array
+    R: Array
+    var: Array
+    at: Ints
+
+
+class _Update(NamedTuple):
+    """Overwritten by an update: estimated error (n,), innovation (w,) and its covariance (w, w)."""
+
+    dx: Array
+    nu: Array
+    S: Array
+
+
+@njit(cache=True, nogil=True)
+def _absorb(p: Points, o: Design, S: Array, measured: _Measured, free: float, out: _Update) -> tuple[float, int]:
+    """Use components of a measurement; returns the normalised innovation squared and 1 (used), 0 (rejected) or -1 (no factor)."""
+    (nu, R, var, at), (dx, seen, S_out) = measured, out
     n, q, points = S.shape[0], at.size, nu.shape[0]
     groups = p.nav.shape[0]
     weight = 0.5 / (o.gamma * o.gamma)
@@ -468,7 +477,7 @@ def fly(p: Points, o: Design, r: Samples, events: Events, start: Start, out: Buf
                     f_n[i] /= span
                     for a in range(3):
                         C[i, a] = 0.5 * (C[i, a] + B[i, a])
-                _renew(p, o, S, nav, x, C, f_n, c_of, span, count)
+                _renew(p, o, start, _Span(span, count, C, f_n), c_of)
                 _draw(p, nav, x, S, o.gamma)
                 f_n[:] = 0.0
                 span, count = 0.0, 0
@@ -485,9 +494,11 @@ def fly(p: Points, o: Design, r: Samples, events: Events, start: Start, out: Buf
                 out.dof[e], out.ok[e] = q, 0.0
                 if q > 0:
                     event = (kind, events.tau[e], events.z[e], events.settings[e])
-                    _rows_of(p, o, r.t[k] - r.t[k - 1], event, given, nav_before, max(rate_count[kind], 1), c_of, nu, R)
+                    before = _Past(r.t[k] - r.t[k - 1], nav_before, given, max(rate_count[kind], 1), c_of)
+                    _rows_of(p, o, event, before, nu, R)
                     free = math.inf if kind == FIX and r.t[k] - rejected_from >= o.plan.timeout else -math.inf
-                    nis, ok = _absorb(p, o, S, nu, R, events.var[e], at[:q], free, dx, out.nu[e], out.S[e])
+                    measured = _Measured(nu, R, events.var[e], at[:q])
+                    nis, ok = _absorb(p, o, S, measured, free, _Update(dx, out.nu[e], out.S[e]))
                     if ok < 0:
                         return -1
                     out.nis[e], out.ok[e] = nis, float(ok)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,11 +141,35 @@ def smoother_gain(after: Array, Phi: Array, before: Array) -> Array:
     return Dt.T
 
 
+class _Backward(NamedTuple):
+    """Nodes of a run on their way back.
+
+    Parameters
+    ----------
+    before, after, Phi : (k, n, n) arrays
+        Covariances around the update of every node, transition from the node before.
+    correction : (k, n) array
+        Error that the update of every node took off.
+    P, nav, states : (k, n, n), (k, 10), (k, n - 9) arrays
+        Filtered ones, overwritten by the smoothed ones.
+    error : (n,) array
+        Estimated error of the prediction at the node that was smoothed last, overwritten.
+    """
+
+    before: Array
+    after: Array
+    Phi: Array
+    correction: Array
+    P: Array
+    nav: Array
+    states: Array
+    error: Array
+
+
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _back(
-    i: int, Dt: Array, before: Array, correction: Array, P: Array, nav: Array, states: Array, error: Array, work: Array
-) -> None:
-    """Smooth node ``i`` by the node after it, whose covariance in ``P`` is smoothed already; ``Dt`` is the gain transposed."""
+def _back(i: int, Dt: Array, nodes: _Backward, work: Array) -> None:
+    """Smooth node ``i`` by the node after it, whose covariance is smoothed already; ``Dt`` is the gain transposed."""
+    before, _, _, correction, P, nav, states, error = nodes
     n = Dt.shape[0]
     # what the update took off and the later data would take off, both as errors of the predicted state
     told, W = work[0], work[1]
@@ -179,38 +204,22 @@ def _back(
 
 
 @njit(cache=True, nogil=True)
-def _pass(
-    last: int,
-    before: Array,
-    after: Array,
-    Phi: Array,
-    correction: Array,
-    P: Array,
-    nav: Array,
-    states: Array,
-    error: Array,
-) -> int:
+def _pass(last: int, nodes: _Backward) -> int:
     """The backward pass from node ``last`` to the first; returns the node whose gain is not defined, or -1 when it is through.
 
     Parameters
     ----------
     last : int
         Node to begin with; those after it are smoothed already.
-    before, after, Phi : (k, n, n) arrays
-        Covariances around the update of every node, transition from the node before.
-    correction : (k, n) array
-        Error that the update of every node took off.
-    P, nav, states : (k, n, n), (k, 10), (k, n - 9) arrays
-        Filtered ones, overwritten by the smoothed ones.
-    error : (n,) array
-        Estimated error of the prediction at the node after ``last``, overwritten.
+    nodes : _Backward
     """
-    n = P.shape[1]
+    before, after, Phi = nodes.before, nodes.after, nodes.Phi
+    n = before.shape[1]
     U, Dt, scale, work = np.empty((n, n)), np.empty((n, n)), np.empty(n), np.empty((2, n))
     for i in range(last, -1, -1):
         if not _gain(after[i], Phi[i + 1], before[i + 1], scale, U, Dt):
             return i
-        _back(i, Dt, before, correction, P, nav, states, error, work)
+        _back(i, Dt, nodes, work)
     return -1
 
 
@@ -238,11 +247,12 @@ def smooth(result: FilterResult) -> SmootherResult:
     P = nodes.P_after.copy()
     nav, states = nodes.nav.copy(), nodes.states.copy()
     error = np.zeros(P.shape[1])  # of the filtered state, as the data after it tell
+    back = _Backward(nodes.P_before, nodes.P_after, nodes.Phi, nodes.correction, P, nav, states, error)
     i = k - 2
     while i >= 0:
-        i = _pass(i, nodes.P_before, nodes.P_after, nodes.Phi, nodes.correction, P, nav, states, error)
+        i = _pass(i, back)
         if i >= 0:
             Dt = _singular_gain(nodes.P_after[i], nodes.Phi[i + 1], nodes.P_before[i + 1])
-            _back(i, Dt, nodes.P_before, nodes.correction, P, nav, states, error, np.empty((2, error.size)))
+            _back(i, Dt, back, np.empty((2, error.size)))
             i -= 1
     return SmootherResult(result.layout, nodes.t, nav, states, P)

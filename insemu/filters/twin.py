@@ -19,7 +19,8 @@ from insemu import earth
 from insemu.augment import Augmentation
 from insemu.compiled import njit
 from insemu.filters.expanded import MAP_SIZE, fill_map, middle
-from insemu.filters.joint import apply_transposed
+from insemu.filters.joint import NO_POWER, apply_transposed
+from insemu.filters.packed import Samples
 from insemu.records import ImuRecord
 from insemu.strapdown import fill_dynamics
 
@@ -75,11 +76,8 @@ class Intervals:
             bases = np.zeros((lengths.size, int(lengths.max()), TERMS))
             for k, length in enumerate(lengths):
                 bases[k, :length] = basis(int(length))
-            k = found.size - 1
-            F, gain, square = np.zeros((k, 9, 9)), np.zeros((k, 9, 6, TERMS)), np.zeros((k, 9, 6))
-            _collapse(
-                imu.t, imu.gyro, imu.accel, nav, earth.gravity_code(gravity), found, kind.astype(np.int64), bases, F, gain, square
-            )  # fmt: skip
+            samples = Samples(imu.t, imu.gyro, imu.accel, NO_POWER)
+            F, gain, square = _collapse(samples, nav, earth.gravity_code(gravity), found, kind.astype(np.int64), bases)
             left = square - (gain**2).sum(axis=3)
             if longest <= TERMS or (left <= LEFT**2 * square.max(axis=0)).all():
                 return cls(found, F, gain)
@@ -321,10 +319,12 @@ class LinearErrors:
 
 @njit(cache=True, nogil=True)
 def _collapse(
-    t: Array, gyro: Array, accel: Array, nav: Array, gravity: int, nodes: Ints, kind: Ints, bases: Array, F: Array, gain: Array,
-    square: Array,
-) -> None:  # fmt: skip
-    """Fill ``F``, ``gain`` and the sums of squares ``square`` (k, 9, 6) of the gains; ``kind`` (k,) says which of ``bases`` an interval has."""
+    samples: Samples, nav: Array, gravity: int, nodes: Ints, kind: Ints, bases: Array
+) -> tuple[Array, Array, Array]:
+    """``F``, ``gain`` and the sums of squares (k, 9, 6) of the gains; ``kind`` (k,) says which of ``bases`` an interval has."""
+    t, gyro, accel, _ = samples
+    count = nodes.size - 1
+    F, gain, square = np.zeros((count, 9, 9)), np.zeros((count, 9, 6, TERMS)), np.zeros((count, 9, 6))
     dynamics, C, mid, f_n = np.empty((9, 9)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     w, u, old = np.zeros(MAP_SIZE), np.zeros(6), np.zeros(9)
     for i in range(nodes.size - 1):
@@ -344,6 +344,7 @@ def _collapse(
                     square[i, row, a] += u[a] * u[a]
                     for p in range(TERMS):
                         gain[i, row, a, p] += u[a] * U[p]
+    return F, gain, square
 
 
 @njit(cache=True, nogil=True)

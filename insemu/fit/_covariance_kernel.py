@@ -8,6 +8,7 @@ form: no pass over lags is needed, only a quadrature between the nine corners wh
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,16 +21,25 @@ _X = np.array([-0.9061798459386640, -0.5384693101056831, 0.0, 0.5384693101056831
 _W = np.array([0.2369268850561891, 0.4786286704993665, 0.5688888888888889, 0.4786286704993665, 0.2369268850561891])
 
 
-@njit(cache=True, nogil=True)
-def _coefficient_covariance(
-    i: float, mj: float, ml: float, poly: Array, a: Array, squeeze: Array, linear: Array, curved: Array
-) -> float:  # pragma: no cover - compiled
-    """Covariance of coefficients of averages ``mj`` (at k + i) and ``ml`` (at k).
+class _Parts(NamedTuple):
+    """What a sum of processes is made of, for two averages.
 
     ``poly``: variances of the WN, QN, RW and BI parts; ``a``: decay per sample of first-order parts; ``squeeze``: their factor beyond the
     corners; ``linear``, ``curved``: factors of |h| and of the exponential within, ``linear`` negative where the exponential's even
     polynomial is left out (correlation times longer than the coefficients, where it would cancel digits).
     """
+
+    poly: Array
+    a: Array
+    squeeze: Array
+    linear: Array
+    curved: Array
+
+
+@njit(cache=True, nogil=True)
+def _coefficient_covariance(i: float, mj: float, ml: float, of: _Parts) -> float:  # pragma: no cover - compiled
+    """Covariance of coefficients of averages ``mj`` (at k + i) and ``ml`` (at k)."""
+    poly, a, squeeze, linear, curved = of
     total = 0.0
     # nearest distance to a corner, when all nine lie on one side
     highest, lowest = 2.0 * mj, -2.0 * ml
@@ -106,7 +116,8 @@ def covariances(
     """
     levels = m.size
     corners = np.empty(9)
-    squeeze, linear, curved = np.empty(a.size), np.empty(a.size), np.empty(a.size)
+    of = _Parts(poly, a, np.empty(a.size), np.empty(a.size), np.empty(a.size))
+    squeeze, linear, curved = of.squeeze, of.linear, of.curved
     for j in range(levels):
         for other in range(j, levels):
             mj, ml = m[j], m[other]
@@ -146,12 +157,12 @@ def covariances(
                     if inner <= 40.0:
                         for step in range(int(inner)):
                             i = previous + 1.0 + step
-                            total += _term(i, mj, ml, n, poly, a, squeeze, linear, curved, means)
+                            total += _term(i, mj, ml, n, of, means)
                     else:
                         # four at each end one by one, panels that double towards the middle
                         for step in range(4):
-                            total += _term(previous + 1.0 + step, mj, ml, n, poly, a, squeeze, linear, curved, means)
-                            total += _term(end - 1.0 - step, mj, ml, n, poly, a, squeeze, linear, curved, means)
+                            total += _term(previous + 1.0 + step, mj, ml, n, of, means)
+                            total += _term(end - 1.0 - step, mj, ml, n, of, means)
                         lo, hi = previous + 4.5, end - 4.5
                         middle = 0.5 * (lo + hi)
                         width, start = 6.0, lo
@@ -162,20 +173,12 @@ def covariances(
                             half, centre = 0.5 * (stop - start), 0.5 * (start + stop)
                             mirror = lo + hi - centre
                             for x in range(5):
-                                total += (
-                                    half
-                                    * _W[x]
-                                    * _term(centre + half * _X[x], mj, ml, n, poly, a, squeeze, linear, curved, means)
-                                )
-                                total += (
-                                    half
-                                    * _W[x]
-                                    * _term(mirror + half * _X[x], mj, ml, n, poly, a, squeeze, linear, curved, means)
-                                )
+                                total += half * _W[x] * _term(centre + half * _X[x], mj, ml, n, of, means)
+                                total += half * _W[x] * _term(mirror + half * _X[x], mj, ml, n, of, means)
                             start = stop
                             width *= 2.0
                 if k < 9 and end == corners[k] and end > previous and end <= last:
-                    total += _term(end, mj, ml, n, poly, a, squeeze, linear, curved, means)
+                    total += _term(end, mj, ml, n, of, means)
                 previous = max(previous, end)
                 if previous > last:
                     break
@@ -184,19 +187,8 @@ def covariances(
 
 
 @njit(cache=True, nogil=True)
-def _term(
-    i: float,
-    mj: float,
-    ml: float,
-    n: int,
-    poly: Array,
-    a: Array,
-    squeeze: Array,
-    linear: Array,
-    curved: Array,
-    means: float,
-) -> float:  # pragma: no cover - compiled
+def _term(i: float, mj: float, ml: float, n: int, of: _Parts, means: float) -> float:  # pragma: no cover - compiled
     """One lag of the double sum: number of pairs times the covariance of squares (Isserlis)."""
     pairs = min(n - 1.0, n - 1.0 - i) - max(2.0 * ml - 1.0, 2.0 * mj - 1.0 - i) + 1.0
-    v = _coefficient_covariance(i, mj, ml, poly, a, squeeze, linear, curved)
+    v = _coefficient_covariance(i, mj, ml, of)
     return pairs * (2.0 * v * v + 4.0 * means * v)

@@ -8,6 +8,7 @@ which has no local minima (variable projection; Golub & Pereyra 1973, Kaufman 19
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -197,12 +198,56 @@ def nonnegative(A: Array, y: Array, x: Array, r: Array, Q: Array) -> int:  # pra
     return count
 
 
+class Separable(NamedTuple):
+    """A weighted curve that is a sum of processes: linear in one coefficient of each, nonlinear in shapes.
+
+    Parameters
+    ----------
+    curves, orders : (processes,) arrays of int
+        Address of the wavelet variance of each process, and the whole number of its structure.
+    offsets : (processes + 1,) array of int
+        Where the shapes of each process begin and the last ones end.
+    fixed : (processes,) array
+        Held coefficients, negative where free.
+    m : (J,) array
+        Samples per average, half the scales.
+    W : (rows, J) array
+        Root of the weights.
+    y : (rows,) array
+        Weighted curve, ``W`` times the wavelet variances.
+    """
+
+    curves: Ints
+    orders: Ints
+    offsets: Ints
+    fixed: Array
+    m: Array
+    W: Array
+    y: Array
+
+
+class _Projection(NamedTuple):
+    """The best coefficients ``x`` of some shapes, weighted columns ``B`` and derivatives ``dB``, residual ``r``, basis ``Q``."""
+
+    B: Array
+    dB: Array
+    x: Array
+    r: Array
+    Q: Array
+
+
 @njit(cache=True, nogil=True)
-def _project(
-    curves: Ints, orders: Ints, offsets: Ints, m: Array, s: Array, W: Array, y: Array, fixed: Array,
-    B: Array, dB: Array, x: Array, r: Array, Q: Array,
-) -> tuple[float, int]:  # pragma: no cover - compiled  # fmt: skip
-    """Best coefficients for shapes ``s``: weighted columns into ``B``, ``dB``; returns the objective and the number of active columns."""
+def _room(p: Separable, shapes: int) -> _Projection:  # pragma: no cover - compiled
+    n, processes = p.y.size, p.curves.size
+    columns, slopes = np.empty((n, processes)), np.zeros((n, shapes))
+    return _Projection(columns, slopes, np.zeros(processes), np.empty(n), np.empty((n, processes)))
+
+
+@njit(cache=True, nogil=True)
+def _project(p: Separable, s: Array, out: _Projection) -> tuple[float, int]:  # pragma: no cover - compiled
+    """Fill ``out`` for shapes ``s``; returns the objective and the number of active columns."""
+    curves, orders, offsets, fixed, m, W, y = p
+    B, dB, x, r, Q = out
     raw = np.empty((m.size, curves.size))
     draw = np.zeros((m.size, s.size))
     columns(curves, orders, offsets, m, s, raw, draw)
@@ -239,35 +284,20 @@ def _project(
 
 
 @njit(cache=True, nogil=True)
-def screen(
-    curves: Ints, orders: Ints, offsets: Ints, m: Array, starts: Array, W: Array, y: Array, fixed: Array, out: Array
-) -> None:  # pragma: no cover - compiled
+def screen(p: Separable, starts: Array, out: Array) -> None:  # pragma: no cover - compiled
     """Objective of every start (rows of ``starts``) with its best coefficients.
 
     Parameters
     ----------
-    curves, orders : (processes,) arrays of int
-        Address of the wavelet variance of each process, and the whole number of its structure.
-    offsets : (processes + 1,) array of int
-        Where the shapes of each process begin and the last ones end.
-    m : (J,) array
-        Samples per average, half the scales.
+    p : Separable
     starts : (starts, shapes) array
         Shapes, one start a row.
-    W : (rows, J) array
-        Root of the weights.
-    y : (rows,) array
-        Weighted curve, ``W`` times the wavelet variances.
-    fixed : (processes,) array
-        Held coefficients, negative where free.
     out : (starts,) array
         Overwritten.
     """
-    n = y.size
-    B, dB = np.empty((n, curves.size)), np.zeros((n, starts.shape[1]))
-    x, r, Q = np.zeros(curves.size), np.empty(n), np.empty((n, curves.size))
+    room = _room(p, starts.shape[1])
     for i in range(starts.shape[0]):
-        out[i] = _project(curves, orders, offsets, m, starts[i], W, y, fixed, B, dB, x, r, Q)[0]
+        out[i] = _project(p, starts[i], room)[0]
 
 
 @njit(cache=True, nogil=True)
@@ -288,50 +318,37 @@ def _solve(A: Array, b: Array) -> None:  # pragma: no cover - compiled
 
 @njit(cache=True, nogil=True)
 def refine(
-    curves: Ints, orders: Ints, offsets: Ints, m: Array, s: Array, low: Array, high: Array, W: Array, y: Array, fixed: Array,
-    x: Array, most: int,
-) -> tuple[float, int]:  # pragma: no cover - compiled  # fmt: skip
+    p: Separable, s: Array, low: Array, high: Array, x: Array, most: int
+) -> tuple[float, int]:  # pragma: no cover - compiled
     """Levenberg-Marquardt over the shapes with projected coefficients, in place from ``s``.
 
     ``low == high`` holds a shape fixed. Returns the objective and the number of iterations, negative where ``most`` did not suffice.
 
     Parameters
     ----------
-    curves, orders : (processes,) arrays of int
-        Address of the wavelet variance of each process, and the whole number of its structure.
-    offsets : (processes + 1,) array of int
-        Where the shapes of each process begin and the last ones end.
-    m : (J,) array
-        Samples per average, half the scales.
+    p : Separable
     s : (shapes,) array
         Start, overwritten by the minimum.
     low, high : (shapes,) arrays
         Bounds of the shapes.
-    W : (rows, J) array
-        Root of the weights.
-    y : (rows,) array
-        Weighted curve, ``W`` times the wavelet variances.
-    fixed : (processes,) array
-        Held coefficients, negative where free.
     x : (processes,) array
         Overwritten: coefficients at the minimum, held ones included.
     most : int
         Largest number of iterations.
     """
-    n, shapes = y.size, s.size
-    B, dB = np.empty((n, curves.size)), np.zeros((n, shapes))
-    r, Q = np.empty(n), np.empty((n, curves.size))
-    total, count = _project(curves, orders, offsets, m, s, W, y, fixed, B, dB, x, r, Q)
+    n, shapes, offsets = p.y.size, s.size, p.offsets
+    here, there = _room(p, shapes), _room(p, shapes)
+    dB, r, Q = here.dB, here.r, here.Q
+    total, count = _project(p, s, here)
+    x[:] = here.x
     if shapes == 0:
         return total, 0
     damping = 1e-2
-    trial_x, trial_r = np.zeros(curves.size), np.empty(n)
-    trial_B, trial_dB, trial_Q = np.empty((n, curves.size)), np.zeros((n, shapes)), np.empty((n, curves.size))
     J, H, M = np.empty((n, shapes)), np.empty((shapes, shapes)), np.empty((shapes, shapes))
     g, step, trial = np.empty(shapes), np.empty(shapes), np.empty(shapes)
     quiet = 0
     for iteration in range(most):
-        for k in range(curves.size):
+        for k in range(x.size):
             for h in range(offsets[k], offsets[k + 1]):
                 for i in range(n):
                     J[i, h] = x[k] * dB[i, h]
@@ -373,9 +390,7 @@ def refine(
             for h in range(shapes):
                 d = min(max(step[h], -1.5), 1.5)
                 trial[h] = min(max(s[h] + d, low[h]), high[h])
-            new, new_count = _project(
-                curves, orders, offsets, m, trial, W, y, fixed, trial_B, trial_dB, trial_x, trial_r, trial_Q
-            )
+            new, new_count = _project(p, trial, there)
             if new < total:
                 better = True
                 break
@@ -390,13 +405,12 @@ def refine(
             moved = max(moved, abs(trial[h] - s[h]))
         for h in range(shapes):
             s[h] = trial[h]
-        for k in range(curves.size):
-            x[k] = trial_x[k]
+        for k in range(x.size):
+            x[k] = there.x[k]
         for i in range(n):
-            r[i] = trial_r[i]
-        copy(trial_B, B)
-        copy(trial_dB, dB)
-        copy(trial_Q, Q)
+            r[i] = there.r[i]
+        copy(there.dB, dB)
+        copy(there.Q, Q)
         count = new_count
         total = new
         damping = max(damping * 0.15, 1e-9)

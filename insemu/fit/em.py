@@ -212,7 +212,6 @@ def fit_em(
     ramp: Ramp = "least_squares",
     tolerance: float = 1e-7,
     iterations: int = 2000,
-    check: bool = True,
     confidence: float = 0.95,
 ) -> FitResult:
     """Fit a sum of WN, RW, GM, AR1, AR(p) and DR by constrained expectation-maximization.
@@ -228,8 +227,6 @@ def fit_em(
         What is done about DR (and an offset): removed by least squares first, estimated inside as the input of a state, or left alone.
     tolerance, iterations
         Stopping rule.
-    check : bool
-        Compare with the likelihood of the estimate by wavelet moments.
     confidence : float
         Of the intervals.
 
@@ -256,7 +253,7 @@ def fit_em(
     y = y - offset - (slope * t if has_ramp and ramp == "least_squares" else 0.0)
     noise = NoiseModel(tuple(p for p in model if not p.ramp))
     curve = wavelet_variance(level, series.rate_hz)
-    begin, moments = _begin(noise, curve, start, check)
+    begin, moments = _begin(noise, curve, start)
     spread = max(float(np.var(y)), 1e-300)
     begin = NoiseModel(tuple(_positive(p, spread, dt, y.size) for p in begin))
     space, places = _space(noise, begin, dt, spread, inside, start_slope=_slope_of(start))
@@ -268,7 +265,7 @@ def fit_em(
             f"the likelihood still rose after {found.trace.size} iterations; raise `iterations` or start nearer"
         )
     lower = 0.0
-    if check and moments is not None:
+    if moments is not None:
         # both without the ramp, so that they are likelihoods of the same data
         given = NoiseModel(tuple(_positive(p, spread, dt, y.size) for p in moments))
         reached = found.trace[-1] if found.trace.size else -math.inf
@@ -310,17 +307,14 @@ def fit_em(
     )
 
 
-def _begin(
-    noise: NoiseModel, curve: WaveletVariance, start: NoiseModel | None, check: bool
-) -> tuple[NoiseModel, NoiseModel | None]:
-    """Where to begin, and the estimate by wavelet moments where it is wanted and there is one."""
+def _begin(noise: NoiseModel, curve: WaveletVariance, start: NoiseModel | None) -> tuple[NoiseModel, NoiseModel | None]:
+    """Where to begin, and the estimate by wavelet moments where there is one."""
     moments: NoiseModel | None = None
-    if start is None or check:
-        try:
-            moments = fit_curve(curve, noise).model
-        except InputError:
-            if start is None:
-                raise
+    try:
+        moments = fit_curve(curve, noise).model
+    except InputError:
+        if start is None:
+            raise
     if start is None:
         assert moments is not None
         return moments, moments

@@ -31,6 +31,8 @@ from insemu.variance import WaveletVariance
 
 Array = NDArray[np.float64]
 
+#: How many times the covariance of the moments is renewed.
+RENEWALS = 2
 #: Steps towards the correlation time of one segment by itself, and the step of its logarithm that slopes are taken over.
 ROUNDS = 4
 STEP_TIME = 0.05
@@ -98,7 +100,6 @@ def fit_following(
     segments: int = 12,
     tau_from: float = 0.0,
     tau_to: float = math.inf,
-    steps: int = 2,
     confidence: float = 0.95,
 ) -> FollowingFit:
     """Fit a model some of whose levels or correlation times follow covariates.
@@ -115,8 +116,6 @@ def fit_following(
         Segments of one length that the log is cut into.
     tau_from, tau_to : float
         Scales (s) to use.
-    steps : int
-        How many times the covariance of the moments is renewed.
     confidence : float
         Level of the intervals.
 
@@ -140,7 +139,7 @@ def fit_following(
     V = problem.covariance(problem.model(tied, starts[0]))
     tried = [minimised(expected, problem.value, root_of_inverse(V), start, limits) for start in starts]
     x, _ = min(tried, key=lambda found: found[1])
-    for _ in range(max(steps, 1)):
+    for _ in range(RENEWALS):
         V = problem.covariance(problem.model(tied, x))
         x, objective = minimised(expected, problem.value, root_of_inverse(V), x, limits)
     V = problem.covariance(problem.model(tied, x))
@@ -148,7 +147,7 @@ def fit_following(
     C, lost = parameter_covariance(D, W, V)
     test = _test(problem, expected, x, limits, V)
     x = x - bias(expected, x, D, W, C)
-    return _answer(problem, series, tied, x, C, objective, test, bool(lost), confidence)
+    return _answer(problem, series, _Solved(tied, x, C, objective, test, bool(lost)), confidence)
 
 
 def _test(
@@ -167,21 +166,24 @@ def _test(
     return GoodnessOfFit(statistic, dof, float(scipy.special.chdtrc(dof, statistic)), np.unique(tau[rows]))
 
 
-def _answer(
-    problem: Segments,
-    series: Series,
-    tied: Coordinates,
-    x: Array,
-    C: Array,
-    objective: float,
-    test: GoodnessOfFit | None,
-    lost: bool,
-    confidence: float,
-) -> FollowingFit:
+@dataclass(frozen=True)
+class _Solved:
+    """Coordinates of the model, their values and covariance at the minimum, its test, and whether the moments leave some undetermined."""
+
+    tied: Coordinates
+    x: Array
+    covariance: Array
+    objective: float
+    test: GoodnessOfFit | None
+    lost: bool
+
+
+def _answer(problem: Segments, series: Series, solved: _Solved, confidence: float) -> FollowingFit:
     """Everything in the user's quantities."""
+    tied, x, test = solved.tied, solved.x, solved.test
     count, model = len(tied.free), problem.model(tied, x)
     slope = np.append(tied.slopes(x[:count]), 1.0 / problem.widths())
-    covariance = slope[:, None] * C * slope[None, :]
+    covariance = slope[:, None] * solved.covariance * slope[None, :]
     own = estimates(model, tied.free, covariance[:count, :count], series.unit, confidence)
     z = float(scipy.special.ndtri(0.5 + 0.5 * confidence))
     found: list[Estimate] = []
@@ -204,7 +206,7 @@ def _answer(
             )
         )  # fmt: skip
     average = problem.constant(model, -1)
-    notes = ["the segments do not determine all parameters"] if lost else []
+    notes = ["the segments do not determine all parameters"] if solved.lost else []
     if test is not None and test.p_value < HOLDS:
         notes.append(
             "segments differ by more than this law explains: intervals and p-values of the slopes are too narrow"
@@ -221,7 +223,7 @@ def _answer(
         covariance=covariance,
         curve=problem.whole,
         fitted=problem.curve(model),
-        objective=objective,
+        objective=solved.objective,
         converged=True,
         warnings=tuple(notes),
         test=test,

@@ -55,21 +55,53 @@ def interval_widths(curve: WaveletVariance) -> Array:
     return np.asarray(high - low)
 
 
+@dataclass(frozen=True)
+class Weights:
+    """How a fit weighs the scales of a curve.
+
+    Parameters
+    ----------
+    kind : {"auto", "intervals", "asymptotic", "bootstrap"}
+        Squared inverse interval widths; the inverse covariance under the model, in closed form; the same by parametric bootstrap. ``auto``
+        is ``asymptotic`` for curves without outliers of more than :data:`LONG_RECORD` samples whose model is not rejected by its test of fit
+        (p >= :data:`HOLDS`), and ``intervals`` otherwise. Interval weights follow the scatter of the curve itself, so a scale that came out
+        low counts more: parameters that rest on few degrees of freedom are pulled down by up to a third of their standard error.
+        ``asymptotic`` estimates are corrected for :func:`finite_record_bias`; the objective stays that of the minimum.
+    widths : (J,) array, optional
+        Interval widths to weigh by, instead of ``kind``.
+    covariance : (J, J) array, optional
+        Covariance whose inverse weighs, instead of ``kind``; standard errors and the test of fit follow from it, too.
+    steps : int
+        How many times the covariance under the model is renewed.
+    replicates : int
+        Of the bootstrap.
+    rng : Generator, optional
+        Needed for the bootstrap.
+    """
+
+    kind: Weighting = "auto"
+    widths: ArrayLike | None = None
+    covariance: ArrayLike | None = None
+    steps: int = 2
+    replicates: int = 200
+    rng: np.random.Generator | None = None
+
+    @property
+    def given(self) -> bool:
+        """Whether they do not depend on the model."""
+        return self.widths is not None or self.covariance is not None
+
+
 def fit_curve(
     curve: WaveletVariance,
     model: NoiseModel,
     *,
-    weighting: Weighting = "auto",
-    widths: ArrayLike | None = None,
-    covariance: ArrayLike | None = None,
-    steps: int = 2,
+    weighting: Weighting | Weights = "auto",
     start: NoiseModel | None = None,
     tau_from: float = 0.0,
     tau_to: float = math.inf,
     efficiency: float = 1.0,
     confidence: float = 0.95,
-    bootstrap: int = 200,
-    rng: np.random.Generator | None = None,
     unit: str = "",
     name: str = "signal",
 ) -> FitResult:
@@ -81,18 +113,8 @@ def fit_curve(
         MODWT curve of any filter; others than Haar are integrals of the spectrum, and some hundred times slower to search.
     model : NoiseModel
         Structure; parameters that have a value are held.
-    weighting : {"auto", "intervals", "asymptotic", "bootstrap"}
-        Squared inverse interval widths; the inverse covariance under the model, in closed form; the same by parametric bootstrap. ``auto``
-        is ``asymptotic`` for curves without outliers of more than :data:`LONG_RECORD` samples whose model is not rejected by its test of fit
-        (p >= :data:`HOLDS`), and ``intervals`` otherwise. Interval weights follow the scatter of the curve itself, so a scale that came out
-        low counts more: parameters that rest on few degrees of freedom are pulled down by up to a third of their standard error.
-        ``asymptotic`` estimates are corrected for :func:`finite_record_bias`; the objective stays that of the minimum.
-    widths : (J,) array, optional
-        Interval widths to weigh by, instead of ``weighting``.
-    covariance : (J, J) array, optional
-        Covariance whose inverse weighs, instead of ``weighting``; standard errors and the test of fit follow from it, too.
-    steps : int
-        How many times the covariance under the model is renewed.
+    weighting : str or Weights
+        See :class:`Weights`.
     start : NoiseModel, optional
         Where to begin instead of searching.
     tau_from, tau_to : float
@@ -101,10 +123,6 @@ def fit_curve(
         Asymptotic efficiency of a robust curve: its covariance is larger by the inverse.
     confidence : float
         Level of the intervals.
-    bootstrap : int
-        Replicates of ``weighting="bootstrap"``.
-    rng : Generator, optional
-        Needed for the bootstrap.
     unit, name : str
         Of the signal.
 
@@ -117,29 +135,30 @@ def fit_curve(
     -----
     Equations (20), (22)-(27) and (34) of Stebler et al. 2014. The covariance of the curve is that of the fitted model over the finite record.
     """
-    if weighting not in get_args(Weighting):
-        raise InputError(f"weighting is '{weighting}', expected one of: {', '.join(get_args(Weighting))}")
+    weights = weighting if isinstance(weighting, Weights) else Weights(weighting)
+    kind = weights.kind
+    if kind not in get_args(Weighting):
+        raise InputError(f"weighting is '{kind}', expected one of: {', '.join(get_args(Weighting))}")
     problem = _problem(curve, model, tau_from, tau_to, efficiency, name)
     structure, scale = problem.structure, problem.scale
-    W = _given_weights(problem, widths, covariance)
+    W = _given_weights(problem, weights)
     starts = structure.internal(start)[1][None, :] if start is not None else structure.starts(problem.n)
     best = problem.search(W, starts)
-    used: str = "intervals" if widths is None and covariance is None else "given"
+    used: str = "given" if weights.given else "intervals"
     under: _Weighed | None = None
     rejecting = isinstance(curve, RobustWaveletVariance) and curve.contaminated
-    if used != "given" and (
-        weighting in ("asymptotic", "bootstrap") or (weighting == "auto" and problem.n > LONG_RECORD and not rejecting)
+    if not weights.given and (
+        kind in ("asymptotic", "bootstrap") or (kind == "auto" and problem.n > LONG_RECORD and not rejecting)
     ):
-        again = None if start is not None else starts
-        under = _weighed_by_the_model(problem, best, again, steps, bootstrap if weighting == "bootstrap" else 0, rng)
-        if weighting == "auto" and (under.test is None or under.test.p_value < HOLDS):
+        under = _weighed_by_the_model(problem, best, None if start is not None else starts, weights)
+        if kind == "auto" and (under.test is None or under.test.p_value < HOLDS):
             under = None
     if under is not None:
         best, W, V, test = under.best, under.W, under.V, under.test
-        used = "asymptotic" if weighting == "auto" else weighting
+        used = "asymptotic" if kind == "auto" else kind
     else:
         # a given covariance is what the curve is known by, and what the model is tested by
-        V = problem.covariance(best) if covariance is None else problem.part(covariance)
+        V = problem.covariance(best) if weights.covariance is None else problem.part(weights.covariance)
         test = goodness_of_fit(problem, best, V)
     fitted_model = problem.model(best)
     D, free = natural_jacobian(fitted_model, structure, scale / 2.0)
@@ -221,11 +240,11 @@ def _problem(
     return _Problem(structure, curve.scale_samples[use], value, curve.n_samples, curve, use, efficiency)
 
 
-def _given_weights(problem: _Problem, widths: ArrayLike | None, covariance: ArrayLike | None) -> Array:
+def _given_weights(problem: _Problem, weights: Weights) -> Array:
     """Root of the weights of the first search: of a covariance, or of interval widths."""
-    if covariance is not None:
-        return root_of_inverse(problem.part(covariance))
-    width = interval_widths(problem.curve) if widths is None else np.asarray(widths, dtype=np.float64)
+    if weights.covariance is not None:
+        return root_of_inverse(problem.part(weights.covariance))
+    width = interval_widths(problem.curve) if weights.widths is None else np.asarray(weights.widths, dtype=np.float64)
     if width.shape != problem.curve.value.shape or not (width[problem.use] > 0).all():
         raise InputError(
             f"widths has shape {width.shape}, expected {problem.curve.value.size} positive numbers, one per scale"
@@ -241,21 +260,15 @@ class _Weighed:
     test: GoodnessOfFit | None
 
 
-def _weighed_by_the_model(
-    problem: _Problem,
-    first: Solution,
-    starts: Array | None,
-    steps: int,
-    replicates: int,
-    rng: np.random.Generator | None,
-) -> _Weighed:
-    """The minimum under the covariance that the model itself gives, renewed ``steps`` times.
+def _weighed_by_the_model(problem: _Problem, first: Solution, starts: Array | None, weights: Weights) -> _Weighed:
+    """The minimum under the covariance that the model itself gives, renewed so many times.
 
     ``starts`` are tried once more, because other weights may have their minimum elsewhere; once they are nearly right, it stays.
     """
     best, rows = first, np.zeros((0, 0))
-    for step in range(max(steps, 1)):
-        rows = root_of_inverse(problem.covariance(best, replicates, rng))
+    replicates = weights.replicates if weights.kind == "bootstrap" else 0
+    for step in range(max(weights.steps, 1)):
+        rows = root_of_inverse(problem.covariance(best, replicates, weights.rng))
         near = problem.search(rows, best.shapes[None, :])
         if step == 0 and starts is not None:
             other = problem.search(rows, starts, refined=3, flattened=False)

@@ -58,7 +58,6 @@ def match_curve(
     rng: np.random.Generator,
     replicates: int = 10,
     treat: Callable[[Array, float], WaveletVariance] = wavelet_variance,
-    widths: Array | None = None,
     step: float = 1e-3,
 ) -> Match:
     """Fit any model that can be simulated.
@@ -77,8 +76,6 @@ def match_curve(
         Signals per trial.
     treat : callable
         From a signal and its rate to a curve.
-    widths : (J,) array, optional
-        Weights are their inverse squares; by default widths of the 95 % intervals.
     step : float
         Of the numerical derivatives, in the coordinates of ``start``.
 
@@ -95,7 +92,7 @@ def match_curve(
     # whole numbers, not seed sequences: those remember how many children they had, and later trials would draw others
     seeds = [int(v) for v in rng.integers(2**63, size=replicates)]
     n, rate = curve.n_samples, curve.rate_hz
-    width = interval_widths(curve) if widths is None else np.asarray(widths, dtype=np.float64)
+    width = interval_widths(curve)
 
     def curves(theta: Array) -> Array:
         drawn = [

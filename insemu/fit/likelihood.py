@@ -175,20 +175,9 @@ def fit_mli(
     return _maximise(problem, model, start, wavelet_variance(series.values, series.rate_hz), about, bias, confidence)
 
 
-def fit_mli_pieces(
-    pieces: Iterable[ArrayLike],
-    n_samples: int,
-    rate_hz: float,
-    model: NoiseModel,
-    *,
-    points: int = UNIFORM,
-    bias: bool = True,
-    start: NoiseModel | None = None,
-    confidence: float = 0.95,
-    unit: str = "",
-    name: str = "signal",
-) -> FitResult:
-    """The same for a record that arrives in pieces and need not fit in memory (uniform pattern).
+@dataclass(frozen=True)
+class Stream:
+    """A record that arrives in pieces and need not fit in memory.
 
     Parameters
     ----------
@@ -196,8 +185,32 @@ def fit_mli_pieces(
         Successive parts of the signal, of any lengths.
     n_samples : int
         How many samples there are about; fixes the interval of the pattern.
-    rate_hz, unit, name
+    rate_hz : float
+    unit, name : str
         Of the signal.
+    """
+
+    pieces: Iterable[ArrayLike]
+    n_samples: int
+    rate_hz: float
+    unit: str = ""
+    name: str = "signal"
+
+
+def fit_mli_pieces(
+    stream: Stream,
+    model: NoiseModel,
+    *,
+    points: int = UNIFORM,
+    bias: bool = True,
+    start: NoiseModel | None = None,
+    confidence: float = 0.95,
+) -> FitResult:
+    """The same for a record in pieces (uniform pattern).
+
+    Parameters
+    ----------
+    stream : Stream
     model, points, bias, start, confidence
         As for :func:`fit_mli`.
 
@@ -206,14 +219,15 @@ def fit_mli_pieces(
     InputError
         As :func:`fit_mli`; a value that is not finite.
     """
-    model = _accepted(model).at_rate(rate_hz)
-    if n_samples < 16:
-        raise InputError(f"{name} has {n_samples} samples, expected at least 16")
-    step = int(sampling_pattern(n_samples, "uniform", points)[0])
-    increments, curve = _in_pieces(pieces, step, rate_hz)
+    rate = stream.rate_hz
+    model = _accepted(model).at_rate(rate)
+    if stream.n_samples < 16:
+        raise InputError(f"{stream.name} has {stream.n_samples} samples, expected at least 16")
+    step = int(sampling_pattern(stream.n_samples, "uniform", points)[0])
+    increments, curve = _in_pieces(stream.pieces, step, rate)
     at = step * np.arange(1, increments.size + 1, dtype=np.int64)
-    about = _About(name, unit, rate_hz, curve.n_samples, "uniform", True)
-    return _maximise(_Problem(increments, at, 1.0 / rate_hz, bias), model, start, curve, about, bias, confidence)
+    about = _About(stream.name, stream.unit, rate, curve.n_samples, "uniform", True)
+    return _maximise(_Problem(increments, at, 1.0 / rate, bias), model, start, curve, about, bias, confidence)
 
 
 @dataclass(frozen=True)

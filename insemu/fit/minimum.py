@@ -98,7 +98,7 @@ class Problem:
         unit = np.where(structure.fixed < 0, -1.0, structure.fixed)
         low, high = structure.bounds(self.n)
         rank = np.empty(starts.shape[0])
-        args = (structure.curves, structure.orders, structure.offsets, m)
+        parts = (structure.curves, structure.orders, structure.offsets, unit, m)
         chosen: list[int] = []
         if starts.shape[0] <= refined:
             chosen = list(range(starts.shape[0]))
@@ -107,22 +107,23 @@ class Problem:
             if flattened:
                 rankings.append((np.diag(1.0 / self.value), np.ones(self.value.size)))
             for rows, target in rankings:
-                _kernel.screen(*args, starts, np.ascontiguousarray(rows), target, unit, rank)
+                _kernel.screen(_kernel.Separable(*parts, np.ascontiguousarray(rows), target), starts, rank)
                 order = np.argsort(rank, kind="stable")
                 best = rank[order[0]]
                 for i in order[:refined]:
                     if int(i) not in chosen and rank[i] <= 1e3 * best + 1e-6 * size:
                         chosen.append(int(i))
+        whole = _kernel.Separable(*parts, W, y)
         found: Solution | None = None
         for i in chosen:
             s, x = starts[i].copy(), np.zeros(structure.curves.size)
-            objective, iterations = _kernel.refine(*args, s, low, high, W, y, unit, x, 200)
+            objective, iterations = _kernel.refine(whole, s, low, high, x, 200)
             if found is None or objective < found.objective:
                 found = Solution(x, s, objective, iterations >= 0)
         assert found is not None
         if not found.converged:
             s, x = found.shapes.copy(), np.zeros(structure.curves.size)
-            objective, iterations = _kernel.refine(*args, s, low, high, W, y, unit, x, 3000)
+            objective, iterations = _kernel.refine(whole, s, low, high, x, 3000)
             found = Solution(x, s, objective, iterations >= 0)
         coefficients, shapes = structure.sort(found.coefficients, found.shapes)
         return Solution(coefficients, shapes, found.objective, found.converged)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Literal
 
 import numpy as np
@@ -88,6 +88,7 @@ class Alarm:
     p_value: float
 
 
+@dataclass(eq=False)
 class OnlineFit:
     """The noise of one signal, window by window.
 
@@ -118,29 +119,28 @@ class OnlineFit:
     probability is not exceeded.
     """
 
-    def __init__(
-        self,
-        model: NoiseModel,
-        rate_hz: float,
-        *,
-        window_s: float = 60.0,
-        false_alarms: float = 1e-3,
-        learn: int = 10,
-        every: int = 10,
-        unit: str = "",
-        name: str = "signal",
-    ) -> None:
-        self.window = round(window_s * rate_hz)
+    model: NoiseModel
+    rate_hz: float
+    _: KW_ONLY
+    window_s: float = 60.0
+    false_alarms: float = 1e-3
+    learn: int = 10
+    every: int = 10
+    unit: str = ""
+    name: str = "signal"
+
+    def __post_init__(self) -> None:
+        self.window = round(self.window_s * self.rate_hz)
         if self.window < LEAST_WINDOW:
             raise InputError(
-                f"a window of {window_s:g} s has {self.window} samples, expected at least {LEAST_WINDOW}", where=name
+                f"a window of {self.window_s:g} s has {self.window} samples, expected at least {LEAST_WINDOW}",
+                where=self.name,
             )
-        if not 0.0 < false_alarms < 0.5:
-            raise InputError(f"the probability of a false alarm is {false_alarms}, expected one between 0 and 0.5")
-        if min(learn, every) < 1:
-            raise InputError(f"found {learn} windows to learn and {every} between fits, expected one or more")
-        self.model, self.rate_hz, self.unit, self.name = model.at_rate(rate_hz), rate_hz, unit, name
-        self.false_alarms, self.learn, self.every = false_alarms, learn, every
+        if not 0.0 < self.false_alarms < 0.5:
+            raise InputError(f"the probability of a false alarm is {self.false_alarms}, expected one between 0 and 0.5")
+        if min(self.learn, self.every) < 1:
+            raise InputError(f"found {self.learn} windows to learn and {self.every} between fits, expected one or more")
+        self.model = self.model.at_rate(self.rate_hz)
         self.levels = max(1, int(math.log2(self.window * LONGEST)))
         self._rest = np.empty(0)
         self._seen = 0

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from insemu.errors import InputError
 from insemu.fit.covariance import covariance_of_curve
-from insemu.fit.gmwm import fit_curve, goodness_of_fit, interval_widths, refit
+from insemu.fit.gmwm import Weights, fit_curve, goodness_of_fit, interval_widths, refit
 from insemu.fit.minimum import Problem, Solution, root_of_inverse
 from insemu.fit.result import Criterion, FitResult
 from insemu.fit.robust import cleaned_curve
@@ -280,7 +280,9 @@ def _fit_of(
     for _ in range(2):
         own = covariance_of_curve(at, curve) / efficiency
         own = own + np.diag(missed**2)
-        result = fit_curve(curve, chosen.structure, covariance=own, unit=unit, name=name, efficiency=efficiency)
+        result = fit_curve(
+            curve, chosen.structure, weighting=Weights(covariance=own), unit=unit, name=name, efficiency=efficiency
+        )
         at = result.model
     return result
 

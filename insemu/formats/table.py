@@ -100,6 +100,15 @@ class Probe:
             [c.strip().strip('"').strip().lower() for c in line.split(delimiter)] if delimiter else line.lower().split()
         )
 
+    def numbers(self, most: int) -> NDArray[np.float64] | None:
+        """At most so many of the first rows; None where the lines are no table of numbers without a header."""
+        lines = [x for x in self.lines[:-1] or self.lines if x.strip() and x.lstrip()[0] not in "%#"][:most]
+        try:
+            rows = [[float(c) for c in line.replace(",", " ").split()] for line in lines]
+        except ValueError:
+            return None
+        return np.array(rows) if len({len(r) for r in rows}) == 1 else None
+
 
 @lru_cache(maxsize=4)
 def _head(path: Path, _changed: int) -> bytes:

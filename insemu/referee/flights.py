@@ -6,14 +6,13 @@ import math
 import shutil
 import time
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError
-from insemu.evaluate import EmulatedWorld, Experiment, chi_square_bounds, fly
+from insemu.evaluate import ALONE, EmulatedWorld, Experiment, Resources, chi_square_bounds, fly
 from insemu.filters import NotYet
 from insemu.strapdown import NavState
 
@@ -57,15 +56,16 @@ class Flights:
     pending: int = 0
 
     @classmethod
-    def of(cls, experiment: Experiment, count: int, workers: int = 1, cache: Path | None = None) -> Flights:
-        """Fly realizations 0 to ``count``, or take them from the folder ``cache``, where they are kept."""
+    def of(cls, experiment: Experiment, count: int, resources: Resources = ALONE) -> Flights:
+        """Fly realizations 0 to ``count``, or take them from where they are kept."""
+        cache = resources.cache
         if cache is not None and len(list((cache / experiment.digest).glob("*"))) != count:
             # the rest alone would fly in other groups, and differ in the last digits
             shutil.rmtree(cache / experiment.digest, ignore_errors=True)
         failed: dict[int, str] = {}
         pending = 0
         try:
-            items = list(fly(experiment, range(count), workers=workers, cache=cache))
+            items = list(fly(experiment, range(count), resources))
         except FAILS:  # one that fails hides the others
             items = []
             for k in range(count):

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,8 +18,10 @@ from numpy.typing import NDArray
 
 from insemu.errors import InputError
 from insemu.evaluate import (
+    ALONE,
     COMPONENTS,
     MEAN_SQUARE,
+    Resources,
     Verdict,
     chi_square_bounds,
     nees_verdicts,
@@ -241,11 +242,10 @@ def referee(
     filters: Sequence[str],
     *,
     names: Sequence[str] = (),
-    realizations: int = REALIZATIONS,
-    seed: int = SEED,
-    false_alarm: float = FALSE_ALARM,
-    workers: int = 1,
-    cache: Path | None = None,
+    realizations: int | None = None,
+    seed: int | None = None,
+    false_alarm: float | None = None,
+    resources: Resources = ALONE,
     progress: Callable[[str, str], None] = lambda filter, world: None,
 ) -> list[Judgement]:
     """Fly filters through the worlds, and judge what they state.
@@ -256,14 +256,14 @@ def referee(
         As :func:`insemu.filters.named_filter` takes them; all that come with insemu unless given.
     names : sequence of str
         Worlds; all unless given.
-    realizations : int
-    seed : int
-        The same seed gives the same answer to the byte.
-    false_alarm : float
-        Probability that anything is said against a right filter.
-    workers : int
-    cache : path, optional
-        Folder where finished realizations are kept, so that an interrupted call goes on; estimates of other programs are read anew.
+    realizations : int, optional
+        :data:`REALIZATIONS` unless given.
+    seed : int, optional
+        The same seed gives the same answer to the byte; :data:`SEED` unless given.
+    false_alarm : float, optional
+        Probability that anything is said against a right filter; :data:`FALSE_ALARM` unless given.
+    resources : Resources
+        What is kept of the realizations lets an interrupted call go on; estimates of other programs are read anew.
     progress : callable
         Called with filter and world before each.
 
@@ -272,6 +272,9 @@ def referee(
     InputError
         No such filter or world; estimates that another program has yet to make.
     """
+    realizations = realizations or REALIZATIONS
+    seed = SEED if seed is None else seed
+    false_alarm = FALSE_ALARM if false_alarm is None else false_alarm
     if not 0.0 < false_alarm < 1.0:
         raise InputError(f"false_alarm is {false_alarm!r}, expected a probability between 0 and 1")
     chosen, out = worlds(names), []
@@ -281,8 +284,8 @@ def referee(
         drift: dict[str, list[Drift]] = {}
         for world in [*chosen, *starts().values()]:
             progress(label, world.name)
-            own = None if filter == "files" else cache
-            flights = Flights.of(world.experiment(filter, settings, seed), realizations, workers, own)
+            own = replace(resources, cache=None) if filter == "files" else resources
+            flights = Flights.of(world.experiment(filter, settings, seed), realizations, own)
             flown[world.name] = flights
             if world in chosen:
                 drift[world.name] = drifts(flights, world.experiment("ekf", {}, seed))

@@ -17,11 +17,50 @@ Ints = NDArray[np.int64]
 FIX_ROWS = 6
 
 
+class Nodes(NamedTuple):
+    """A track from node to node, m states of the sensors and w rows of measurements.
+
+    Parameters
+    ----------
+    F, E, D : (k, 9, 9), (k, 9, m), (k, m) arrays
+        Transition of the navigation errors, of the states into them, of the states, over every interval.
+    N, C, R : (k, m + 6, 9, 9), (k, m, 9), (k, m) arrays
+        What unit driving noise of each state (and unit white noise of each axis) adds.
+    H, var : (k + 1, w, 9), (k + 1, w) arrays
+        Measurements at the nodes, those of fixes first; a variance that is not finite is none.
+    """
+
+    F: Array
+    E: Array
+    D: Array
+    N: Array
+    C: Array
+    R: Array
+    H: Array
+    var: Array
+
+
+class Driven(NamedTuple):
+    """Sensors side by side in lanes, m states each.
+
+    Parameters
+    ----------
+    q, white : (m,), (6,) arrays of lanes
+        Variances of the driving and the white noise of each sensor.
+    P : (9 + m, 9 + m) array of lanes
+        Covariance at the first node; overwritten.
+    """
+
+    q: Array
+    white: Array
+    P: Array
+
+
 @njit(cache=True, nogil=True)
-def _moved(
-    P: Array, X: Array, F: Array, E: Array, D: Array, N: Array, C: Array, R: Array, q: Array, white: Array
-) -> None:
-    """Take ``P`` (n, n) over one interval; ``X`` (n, 9) is overwritten."""
+def _moved(P: Array, X: Array, track: Nodes, at: int, q: Array, white: Array) -> None:
+    """Take ``P`` (n, n) over the interval after node ``at``; ``X`` (n, 9) is overwritten."""
+    F, E, D = track.F[at], track.E[at], track.D[at]
+    N, C, R = track.N[at], track.C[at], track.R[at]
     n, m = P.shape[0], P.shape[0] - 9
     for i in range(9):
         for j in range(n):
@@ -78,31 +117,8 @@ def _measured(P: Array, G: Array, H: Array, var: Array, first: int, last: int) -
                 P[j, i] = x
 
 
-class Nodes(NamedTuple):
-    """A track from node to node, m states of the sensors and w rows of measurements.
-
-    Parameters
-    ----------
-    F, E, D : (k, 9, 9), (k, 9, m), (k, m) arrays
-        Transition of the navigation errors, of the states into them, of the states, over every interval.
-    N, C, R : (k, m + 6, 9, 9), (k, m, 9), (k, m) arrays
-        What unit driving noise of each state (and unit white noise of each axis) adds.
-    H, var : (k + 1, w, 9), (k + 1, w) arrays
-        Measurements at the nodes, those of fixes first; a variance that is not finite is none.
-    """
-
-    F: Array
-    E: Array
-    D: Array
-    N: Array
-    C: Array
-    R: Array
-    H: Array
-    var: Array
-
-
 @njit(cache=True, nogil=True)
-def outages(track: Nodes, q: Array, white: Array, P: Array, starts: Ints, ends: Ints, out: Array, most: Array) -> None:
+def outages(track: Nodes, sensors: Driven, starts: Ints, ends: Ints, out: Array, most: Array) -> None:
     """Covariances of the navigation errors at the ends of outages, of sensors side by side (:mod:`insemu.lanes`).
 
     Each sensor has the filter that knows its own figures, whose covariance is that of its errors.
@@ -110,10 +126,7 @@ def outages(track: Nodes, q: Array, white: Array, P: Array, starts: Ints, ends: 
     Parameters
     ----------
     track : Nodes
-    q, white : (m,), (6,) arrays of lanes
-        Variances of the driving and the white noise of each sensor.
-    P : (9 + m, 9 + m) array of lanes
-        At the first node; overwritten.
+    sensors : Driven
     starts, ends : (s,), (s, h) arrays of int
         Nodes at which outages begin (their fixes are used) and at which errors are asked for, both increasing.
     out : (s, h, 9, 9) array of lanes
@@ -121,14 +134,15 @@ def outages(track: Nodes, q: Array, white: Array, P: Array, starts: Ints, ends: 
     most : (1,) array of lanes
         Overwritten: the largest variance of a component of the attitude at any node, before its fix.
     """
-    F, E, D, N, C, R, H, var = track
+    q, white, P = sensors
+    H, var = track.H, track.var
     n, rows = P.shape[0], var.shape[1]
     X, G, free = zeros(P, (n, 9)), zeros(P, n), zeros(P, (n, n))
     for i in range(6, 9):
         most[0] = where(P[i, i] > most[0], P[i, i], most[0])
     for s in range(starts.size):
         for k in range(starts[s - 1] if s else 0, starts[s]):
-            _moved(P, X, F[k], E[k], D[k], N[k], C[k], R[k], q, white)
+            _moved(P, X, track, k, q, white)
             for i in range(6, 9):
                 most[0] = where(P[i, i] > most[0], P[i, i], most[0])
             _measured(P, G, H[k + 1], var[k + 1], 0, rows)
@@ -138,7 +152,7 @@ def outages(track: Nodes, q: Array, white: Array, P: Array, starts: Ints, ends: 
         at = starts[s]
         for h in range(ends.shape[1]):
             for k in range(at, ends[s, h]):
-                _moved(free, X, F[k], E[k], D[k], N[k], C[k], R[k], q, white)
+                _moved(free, X, track, k, q, white)
                 for i in range(6, 9):
                     most[0] = where(free[i, i] > most[0], free[i, i], most[0])
                 _measured(free, G, H[k + 1], var[k + 1], FIX_ROWS, rows)

@@ -18,7 +18,7 @@ from insemu.evaluate import EmulatedWorld
 from insemu.filters import AIDS, AidUse, Intervals, aid_jacobian, basis
 from insemu.lanes import LANES, empty, lanes_of
 from insemu.records import AidRecord
-from insemu.require.kernel import FIX_ROWS, Nodes, outages
+from insemu.require.kernel import FIX_ROWS, Driven, Nodes, outages
 from insemu.require.sensors import Sensor, States, states_of
 from insemu.scenario import Scenario, code_version
 from insemu.strapdown import NavState, mechanize_array
@@ -204,8 +204,8 @@ class Track:
                 P[range(9), range(9)] = self.start[:, None] ** 2
                 P[range(9, 9 + m), range(9, 9 + m)] = states.P0[:, lanes]
                 q[:], white[:] = states.q[:, lanes], states.white[:, lanes]
-                driven = lanes_of(q), lanes_of(white), lanes_of(P)
-                outages(track, *driven, starts, ends, lanes_of(out), lanes_of(most))
+                driven = Driven(lanes_of(q), lanes_of(white), lanes_of(P))
+                outages(track, driven, starts, ends, lanes_of(out), lanes_of(most))
                 found[np.array(some)[:, None], order] = out.transpose(4, 1, 0, 2, 3)[: len(some)]
                 attitude[some] = np.sqrt(most[0, : len(some)])
         return found, attitude

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from insemu import yamlfile
-from insemu.emulate import TRAJECTORIES, bridged_gap, load_flight, read_track
+from insemu.emulate import TRAJECTORIES, MotionSource, bridged_gap, load_flight, read_track
 from insemu.errors import InputError
 from insemu.noise import WN, NoiseModel
 from insemu.noise import load as load_models
@@ -232,7 +232,7 @@ def motion_of(folder: Path, wish: Wish) -> tuple[str, float]:
     except InputError:
         if not _is_waypoints(track):
             raise
-        flight = load_flight(waypoints=track, vehicle=vehicle, speed=SPEED).flight
+        flight = load_flight(MotionSource(waypoints=track, vehicle=vehicle, speed=SPEED)).flight
         lines = [
             f"  waypoints: {relative}",
             f"  vehicle: {vehicle}                  # its limits: speed, acceleration, turns, climbs",
@@ -240,7 +240,7 @@ def motion_of(folder: Path, wish: Wish) -> tuple[str, float]:
         ]
     else:
         gap = bridged_gap(recorded, vehicle)
-        flight = load_flight(track=track, vehicle=vehicle, max_gap_s=gap).flight
+        flight = load_flight(MotionSource(track=track, vehicle=vehicle, max_gap_s=gap)).flight
         lines = [
             f"  track: {relative}",
             f"  vehicle: {vehicle}                  # how much it may jerk, and how it holds its attitude",

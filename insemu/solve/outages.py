@@ -182,7 +182,6 @@ def cut_everywhere(
     *,
     settled: float | None = None,
     every: float = 1.0,
-    horizons: Sequence[float] = HORIZONS,
     workers: int = 1,
 ) -> Outages:
     """Cut an outage at every ``every`` seconds of a run at which a fix was used; its length counts from that fix.
@@ -201,8 +200,6 @@ def cut_everywhere(
         When the first outage may begin, s; :func:`settled_at` of the run where it is left out.
     every : float
         Seconds from one outage to the next.
-    horizons : sequence of float
-        s, ascending.
     workers : int
         Threads.
 
@@ -215,12 +212,12 @@ def cut_everywhere(
     if nodes is None or gnss.pos_std_ned is None:
         raise InputError("the run kept no nodes, or the fixes have no standard deviations")
     first = settled_at(run) if settled is None else settled
-    begins = np.arange(first, nodes.t[-1] - horizons[0], every)
+    begins = np.arange(first, nodes.t[-1] - HORIZONS[0], every)
     rows = np.unique(np.searchsorted(nodes.t, begins - 1e-6).clip(0, len(nodes) - 1))
     since = last_used(run, nodes.t)
     rows = rows[nodes.t[rows] - since[rows] <= USUAL_STEPS * usual_step(run)]
     if not rows.size:
-        raise InputError(f"the run is shorter than {SETTLED_S + horizons[0]:g} s, expected room for an outage")
+        raise InputError(f"the run is shorter than {SETTLED_S + HORIZONS[0]:g} s, expected room for an outage")
     there = np.flatnonzero(np.isfinite(gnss.llh).all(axis=1))
     step = max(1, round(STEP_S / imu.dt))
     free = ekf.with_options(
@@ -239,12 +236,12 @@ def cut_everywhere(
 
     def one(k: int) -> tuple[Array, Array, Array]:
         error, stated, own = (
-            np.full((len(horizons), 2), np.nan),
-            np.full((len(horizons), 2, 2), np.nan),
-            np.full((len(horizons), 2), np.nan),
+            np.full((len(HORIZONS), 2), np.nan),
+            np.full((len(HORIZONS), 2, 2), np.nan),
+            np.full((len(HORIZONS), 2), np.nan),
         )
         at, nav, P, x = int(nodes.epoch[k]), nodes.nav[k], nodes.P_after[k], nodes.states[k]
-        for h, horizon in enumerate(horizons):
+        for h, horizon in enumerate(HORIZONS):
             j = int(there[np.argmin(np.abs(gnss.t[there] - since[k] - horizon))])
             if abs(gnss.t[j] - since[k] - horizon) > NEAR_S:
                 continue
@@ -266,7 +263,7 @@ def cut_everywhere(
     with ThreadPoolExecutor(max(1, workers)) as pool:
         found = list(pool.map(one, rows))
     error, stated, own = (np.stack([f[i] for f in found]) for i in range(3))
-    return Outages(nodes.t[rows], np.asarray(horizons, dtype=np.float64), error, stated, own)
+    return Outages(nodes.t[rows], np.asarray(HORIZONS, dtype=np.float64), error, stated, own)
 
 
 def settled_at(run: FilterResult) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -157,24 +157,28 @@ def transfer(
     levels = levels_of(measured, nominal, static, extras)
     found, interval = fitted(levels, [(float(levels.gnss.t[0]), float(levels.gnss.t[-1]) + 1.0)], say)
     judged = judge(levels, say)
-    reasons, rest = _reasons(measured, nominal, static, extras, found, interval, rng, say) if why else ((), {})
+    drive = _Drive(measured, nominal, static, extras)
+    reasons, rest = _reasons(drive, found, interval, rng, say) if why else ((), {})
     factors = np.exp(found.log).tolist()
     constants = levels.constants(factors)
     assumed = nominal.parted().on(measured)[1].said
     return Transfer(found.factors, interval, judged, reasons, rest, levels.scaled(factors), constants, assumed)
 
 
+class _Drive(NamedTuple):
+    """What is transferred to what: a drive, what is known of it, the static models where they are others, states that are estimated along."""
+
+    measured: Recording
+    nominal: Nominal
+    static: dict[str, NoiseModel] | None
+    extras: Extras
+
+
 def _reasons(
-    measured: Recording,
-    nominal: Nominal,
-    static: dict[str, NoiseModel] | None,
-    extras: Extras,
-    found: Estimate,
-    interval: float,
-    rng: np.random.Generator,
-    say: Callable[[str], None],
+    drive: _Drive, found: Estimate, interval: float, rng: np.random.Generator, say: Callable[[str], None]
 ) -> tuple[tuple[Share, ...], dict[str, float]]:
     """Findings of the gap workflow, taken off one after the other, and by what factor each level falls at each."""
+    measured, nominal, static, extras = drive
     factors = {f.name: f.value for f in found.factors if f.asks}
     if not factors:
         return (), {}

@@ -6,6 +6,7 @@ Scalar code over plain arrays.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,21 +88,41 @@ def _kappa(
     return c1 * (h * h * h - h) / 6.0 + c2 * c3 * math.exp(-h / tc) + c2 * (0.5 + c3 * -math.expm1(-1.0 / tc)) * h
 
 
+class Differences(NamedTuple):
+    """Differences of the running sum of a record at several steps, and the lags that their autocovariances are evaluated at.
+
+    ``lags[ends[2 j]:ends[2 j + 1]]`` are nodes of step j between which autocovariances are linear, ``lags[ends[2 j + 1]:ends[2 j + 2]]`` an
+    even grid for the third cumulant (or none).
+
+    Parameters
+    ----------
+    steps, strides : (J,) arrays of int
+        Steps m of the differences and of successive terms, samples.
+    n : int
+        Length of the record.
+    filter : (order + 1,) array
+        Autocorrelation of the difference filter from lag 0; order 2 or 3.
+    lags : (L,) array
+        Samples.
+    ends : (2 J + 1,) array of int
+        Places in ``lags``.
+    """
+
+    steps: NDArray[np.int64]
+    strides: NDArray[np.int64]
+    n: int
+    filter: Array
+    lags: Array
+    ends: NDArray[np.int64]
+
+
 @njit(cache=True, nogil=True)
 def unit_covariances(
-    kind: int,
-    tc: float,
-    steps: NDArray[np.int64],
-    lags: Array,
-    ends: NDArray[np.int64],
-    filter: Array,
-    averaged: bool,
-    out: Array,
+    kind: int, tc: float, of: Differences, averaged: bool, out: Array
 ) -> None:  # pragma: no cover - compiled
     """Autocovariances of differences of the running sum, over 4 m^2, of a unit component, for the steps m one after the other.
 
-    Those of step ``steps[j]`` are asked for at ``lags[ends[j]:ends[j + 1]]``. ``filter`` is the autocorrelation of the difference filter from
-    lag 0. Without the single lags at which quantization noise (not averaged) contributes.
+    Without the single lags at which quantization noise (not averaged) contributes.
 
     Parameters
     ----------
@@ -109,19 +130,13 @@ def unit_covariances(
         0 quantization noise, 1 white noise, 2 first-order Gauss-Markov, 3 random walk.
     tc : float
         Time constant of kind 2, samples.
-    steps : (J,) array of int
-        Steps m of the differences, samples.
-    lags : (L,) array
-        Samples.
-    ends : (J + 1,) array of int
-        Places in ``lags``.
-    filter : (order + 1,) array
-        Order 2 or 3.
+    of : Differences
     averaged : bool
         Whether the running sum is averaged over m samples before (modified Allan variance).
     out : (L,) array
         Overwritten.
     """
+    steps, filter, lags, ends = of.steps, of.filter, of.lags, of.ends
     order = filter.size - 1
     out[:] = 0.0
     if kind == 0 and not averaged:
@@ -140,7 +155,7 @@ def unit_covariances(
         phi = 1.0 - one_minus
         c1 = 0.5 * (1.0 + phi) / one_minus
         c2, c3 = phi / one_minus**2, phi / one_minus**2
-        for i in range(ends[j], ends[j + 1]):
+        for i in range(ends[2 * j], ends[2 * j + 2]):
             if like != 2 and lags[i] >= order * m:
                 continue  # exactly zero
             total = filter[0] * _kappa(like, tc, c1, c2, c3, lags[i], averaged)
@@ -154,26 +169,11 @@ def unit_covariances(
 
 @njit(cache=True, nogil=True)
 def scatter_of_means(
-    units: Array,
-    weights: Array,
-    quantized: int,
-    steps: NDArray[np.int64],
-    strides: NDArray[np.int64],
-    n: int,
-    counts: Array,
-    share: Array,
-    lags: Array,
-    ends: NDArray[np.int64],
-    filter: Array,
-    edof: Array,
-    skew: Array,
-    slopes: Array,
-) -> None:  # pragma: no cover - compiled
-    """Fill, for means of squared differences, degrees of freedom, squared skewness over a chi-square's, and d log(edof) / d weight.
+    units: Array, weights: Array, quantized: int, of: Differences, counts: Array, share: Array
+) -> tuple[Array, Array, Array]:  # pragma: no cover - compiled
+    """Degrees of freedom (J,), squared skewness over a chi-square's (J,), d log(edof) / d weight (J, components) of means of squared differences.
 
-    The difference step is ``steps[j]`` and successive terms are ``strides[j]`` apart. ``lags[ends[2 j]:ends[2 j + 1]]`` are nodes between
-    which autocovariances are linear, ``lags[ends[2 j + 1]:ends[2 j + 2]]`` an even grid for the third cumulant (or none); ``units``
-    has the autocovariance of every component there. Component ``quantized`` contributes at single lags.
+    Component ``quantized`` contributes at single lags.
 
     Parameters
     ----------
@@ -183,27 +183,16 @@ def scatter_of_means(
         Variances per sample of the components, unit^2.
     quantized : int
         Place of quantization noise; -1 where there is none.
-    steps, strides : (J,) arrays of int
-        Samples.
-    n : int
-        Length of the record.
+    of : Differences
     counts : (J,) array
         Terms that enter each mean.
     share : (L,) array
         Pairs of terms that far apart over the number of terms.
-    lags : (L,) array
-        Samples.
-    ends : (2 J + 1,) array of int
-        Places in ``lags``.
-    filter : (order + 1,) array
-        Autocorrelation of the difference filter from lag 0; order 2 or 3.
-    edof, skew : (J,) arrays
-        Overwritten.
-    slopes : (J, components) array
-        Overwritten.
     """
+    steps, strides, n, filter, lags, ends = of
     order = filter.size - 1
     parts = weights.shape[1]
+    edof, skew, slopes = np.empty(steps.size), np.empty(steps.size), np.empty(weights.shape)
     smooth = np.zeros(lags.size)
     part = np.empty(lags.size)
     for j in range(steps.size):
@@ -264,3 +253,4 @@ def scatter_of_means(
                 third += triples * (positions - i - k) * r[i] * r[k] * r[i + k]
         first = positions * r[0] * variance / smooth[begin]
         skew[j] = (third * first / (second * second)) ** 2
+    return edof, skew, slopes

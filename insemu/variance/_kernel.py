@@ -114,9 +114,7 @@ def haar_push(
     x: Array,
     origin: float,
     start: int,
-    ring: Array,
-    grids: Array,
-    work: Array,
+    state: tuple[Array, Array, Array],
     sums: Array,
     full: int,
 ) -> None:  # pragma: no cover - compiled
@@ -133,13 +131,14 @@ def haar_push(
         In the unit of the signal.
     start : int
         Number of the first of these samples.
-    ring, grids, work : arrays
+    state : (ring, grids, work), arrays
         Of :func:`haar_state`; overwritten.
     sums : (levels,) array
         Added to, unit^2.
     full : int
         Longest scale at which every sample has a coefficient; a power of two, the same as for :func:`haar_state`.
     """
+    ring, grids, work = state
     levels = sums.size
     inside = min(levels, _INSIDE)
     reach = levels - grids.shape[0]

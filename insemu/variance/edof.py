@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
@@ -294,39 +294,40 @@ def _nodes(m: int, last: int, longest: float, order: int, stride: int) -> Array:
     return nodes
 
 
+class _Grid(NamedTuple):
+    """Differences of the running sum of a record: steps, distances of successive terms, longest correlation time (samples), and order."""
+
+    steps: tuple[int, ...]
+    strides: tuple[int, ...]
+    n_samples: int
+    longest: float
+    order: int
+
+
 @lru_cache(maxsize=64)
-def _all_lags(
-    steps: tuple[int, ...], strides: tuple[int, ...], n_samples: int, longest: float, order: int
-) -> tuple[Array, NDArray[np.int64]]:
+def _differences(grid: _Grid) -> _covariance_kernel.Differences:
     """For every step :func:`_nodes`, then an even grid of 8 positions per step (none for the shortest), and where each begins."""
-    each = []
-    for m, stride in zip(steps, strides, strict=True):
-        reach = max(n_samples - order * m, 0)
-        nodes = _nodes(m, reach // stride * stride, longest, order, stride)
+    order, each = grid.order, []
+    for m, stride in zip(grid.steps, grid.strides, strict=True):
+        reach = max(grid.n_samples - order * m, 0)
+        nodes = _nodes(m, reach // stride * stride, grid.longest, order, stride)
         each.append(nodes)
         spacing = max(m // 8, stride)
         size = min(reach // spacing + 1, int(nodes[-1]) // spacing + 2, 129) if reach <= 512 * m else 0
         each.append(spacing * np.arange(size, dtype=float))
-    return np.concatenate(each), np.concatenate([[0], np.cumsum([e.size for e in each])]).astype(np.int64)
+    ends = np.concatenate([[0], np.cumsum([e.size for e in each])]).astype(np.int64)
+    steps, strides = np.array(grid.steps, dtype=np.int64), np.array(grid.strides, dtype=np.int64)
+    return _covariance_kernel.Differences(
+        steps, strides, grid.n_samples, np.array(_DIFFERENCE[order]), np.concatenate(each), ends
+    )
 
 
 @lru_cache(maxsize=256)
-def _unit_covariances(
-    kind: str,
-    tc: float,
-    steps: tuple[int, ...],
-    strides: tuple[int, ...],
-    n_samples: int,
-    longest: float,
-    order: int,
-    averaged: bool,
-) -> Array:
-    """Autocovariances of one unit component at :func:`_all_lags`."""
-    lags, ends = _all_lags(steps, strides, n_samples, longest, order)
-    out = np.empty(lags.size)
-    _covariance_kernel.unit_covariances(
-        _KINDS[kind], tc, np.array(steps), lags, ends[::2].copy(), np.array(_DIFFERENCE[order]), averaged, out
-    )
+def _unit_covariances(kind: str, tc: float, grid: _Grid, averaged: bool) -> Array:
+    """Autocovariances of one unit component at the lags of :func:`_differences`."""
+    of = _differences(grid)
+    out = np.empty(of.lags.size)
+    _covariance_kernel.unit_covariances(_KINDS[kind], tc, of, averaged, out)
     return out
 
 
@@ -388,9 +389,10 @@ def scatter_of_noise(
     chosen = [noise.parts[k] for k in random]
     weights = np.tile([weight for _, _, weight in chosen], (count, 1))
     longest = max((tc for kind, tc, _ in chosen if kind == "GM"), default=0.0)
-    grid = (tuple(steps.tolist()), tuple(strides.tolist()), n_samples, longest, order)
-    lags, ends = _all_lags(*grid)
-    units = np.array([_unit_covariances(kind, tc, *grid, averaged) for kind, tc, _ in chosen])
+    grid = _Grid(tuple(steps.tolist()), tuple(strides.tolist()), n_samples, longest, order)
+    of = _differences(grid)
+    lags, ends = of.lags, of.ends
+    units = np.array([_unit_covariances(kind, tc, grid, averaged) for kind, tc, _ in chosen])
     quantized = next((k for k, part in enumerate(chosen) if part[0] == "QN" and not averaged), -1)
     terms = np.maximum((n_samples - order * steps) // strides + 1, 1).astype(np.float64)
     at = np.repeat(np.arange(count), ends[2::2] - ends[:-1:2])
@@ -403,23 +405,7 @@ def scatter_of_noise(
         for j in range(count):
             own = slice(ends[2 * j], ends[2 * j + 1])
             share[own] = np.interp(lags[own], kept.lags[j], kept.share[j])
-    edof, skew, slopes = np.empty(count), np.empty(count), np.empty((count, len(chosen)))
-    _covariance_kernel.scatter_of_means(
-        units,
-        weights,
-        quantized,
-        steps,
-        strides,
-        n_samples,
-        terms,
-        share,
-        lags,
-        ends,
-        np.array(_DIFFERENCE[order]),
-        edof,
-        skew,
-        slopes,
-    )
+    edof, skew, slopes = _covariance_kernel.scatter_of_means(units, weights, quantized, of, terms, share)
     follows = np.zeros(count)
     if noise.moves.shape[1] == count:
         # the estimates of neighbouring octaves go together

@@ -124,29 +124,65 @@ def read_curve(curve: AllanVariance, signal_unit: str = "") -> dict[str, Reading
     if not noise.parts or len(curve) < 4:
         return {}
     fine = np.arange(0.0, np.log2(curve.m[-1]) + 1e-9, 0.125)
-    m = 2.0**fine
     laws = _power_laws(curve, noise)
-    smooth = 2.0 * (laws or noise).variance(m)
-    slope = np.gradient(np.log2(smooth), fine)
-    tau = m / curve.rate_hz
+    smooth = 2.0 * (laws or noise).variance(2.0**fine)
     edof = np.exp(np.interp(fine, np.log2(curve.m), np.log(curve.edof)))
-    known = edof >= 2.0  # beyond, a slope is one or two values
+    smoothed = _Smoothed(
+        curve, signal_unit, noise, laws is not None, fine, smooth, np.gradient(np.log2(smooth), fine), edof
+    )
     out: dict[str, Reading] = {}
     for name in ("Q", "N", "K", "R"):
-        for span in _spans(np.abs(slope - _TERMS[name][0]) < 0.35, known, 2.0 if name in "QR" else 1.0):
-            drifts = bool(slope[span[0] :].max() > 1.2)
-            found = _fit(name, curve, noise, laws is not None, tau[span[0]], tau[span[1]], signal_unit, drifts)
+        inside = np.abs(smoothed.slope - _TERMS[name][0]) < 0.35
+        for span in _spans(inside & smoothed.known, 2.0 if name in "QR" else 1.0):
+            found = _fit(smoothed, name, span)
             if found is not None:
                 out[name] = found
                 break
-    flat = _flat(curve, fine, tau, smooth, slope, edof, known, signal_unit)
-    out.update(flat)
+    out.update(_flat(smoothed))
     return {name: out[name] for name in ("Q", "N", "B", "K", "R", "Tc") if name in out}
 
 
-def _spans(inside: NDArray[np.bool_], known: NDArray[np.bool_], octaves: float) -> list[tuple[int, int]]:
+@dataclass(frozen=True)
+class _Smoothed:
+    """A curve, and on a fine grid of octaves of the averaging time the sum of noises that follows it.
+
+    Parameters
+    ----------
+    curve : AllanVariance
+    unit : str
+        Of the signal.
+    noise : NoiseType
+    lawful : bool
+        Whether the smooth curve is a sum of power laws alone.
+    fine : (f,) array
+        Octaves.
+    smooth, slope, edof : (f,) arrays
+        Variance, slope on logarithmic axes, and degrees of freedom of the curve there.
+    """
+
+    curve: AllanVariance
+    unit: str
+    noise: NoiseType
+    lawful: bool
+    fine: Array
+    smooth: Array
+    slope: Array
+    edof: Array
+
+    @property
+    def tau(self) -> Array:
+        """Averaging times, s."""
+        return np.asarray(2.0**self.fine / self.curve.rate_hz)
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Where the slope is more than one or two values."""
+        return np.asarray(self.edof >= 2.0)
+
+
+def _spans(inside: NDArray[np.bool_], octaves: float) -> list[tuple[int, int]]:
     """Runs of ``inside`` that are at least so many octaves long, in order of time (indices of the fine grid, 8 per octave)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], (inside & known).astype(int), [0]])))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
     runs = [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     return [r for r in runs if r[1] - r[0] >= 8 * octaves]
 
@@ -194,17 +230,11 @@ def _power_laws(curve: AllanVariance, noise: NoiseType) -> NoiseType | None:
     return NoiseType(parts, np.zeros((len(parts), 0)))
 
 
-def _fit(
-    name: str,
-    curve: AllanVariance,
-    noise: NoiseType,
-    everywhere: bool,
-    tau_from: float,
-    tau_to: float,
-    signal_unit: str,
-    drifts: bool,
-) -> Reading | None:
+def _fit(of: _Smoothed, name: str, span: tuple[int, int]) -> Reading | None:
     """Weighted non-negative fit of the slope and of its neighbours, over the part and one octave on either side or everywhere."""
+    curve, everywhere = of.curve, of.lawful
+    tau_from, tau_to = (float(of.tau[k]) for k in span)
+    drifts = bool(of.slope[span[0] :].max() > 1.2)
     exponent, factor = _TERMS[name]
     near = (curve.tau_s >= tau_from / 2.1) & (curve.tau_s <= tau_to * 2.1)
     use = np.flatnonzero((near | everywhere) & (curve.edof >= 1.2))
@@ -236,7 +266,7 @@ def _fit(
     certain = solution[-1] * basis[:, -1] if exponents[-1] == 2.0 else np.zeros_like(level)
     chance = np.maximum(level - certain, 1e-3 * level)
     spread = np.sqrt(2.0 / edof * (chance**2 + 2.0 * chance * certain))
-    covariance = octave_correlation(noise, curve.m[use].astype(float)) * np.outer(spread, spread)
+    covariance = octave_correlation(of.noise, curve.m[use].astype(float)) * np.outer(spread, spread)
     covariance += np.diag((misfit + 1e-8) * level**2)
     white = np.linalg.solve(
         np.linalg.cholesky(covariance), np.column_stack([basis[:, at], np.delete(basis, at, axis=1), value])
@@ -256,7 +286,7 @@ def _fit(
         triple = solution[at] * np.array(
             [1.0, freedom / scipy.special.chdtri(freedom, 0.025), freedom / scipy.special.chdtri(freedom, 0.975)]
         )
-    return _reading(name, np.sqrt(triple * pivot**-exponent / factor), signal_unit, (float(tau_from), float(tau_to)))
+    return _reading(name, np.sqrt(triple * pivot**-exponent / factor), of.unit, (tau_from, tau_to))
 
 
 def _likely(target: Array, neighbours: Array, aim: Array) -> Array:
@@ -300,32 +330,22 @@ def _end(growth: Callable[[float], float], value: float, reach: float, tail: flo
     return float(value * freedom / scipy.special.chdtri(freedom, tail))
 
 
-def _flat(
-    curve: AllanVariance,
-    fine: Array,
-    tau: Array,
-    smooth: Array,
-    slope: Array,
-    edof: Array,
-    known: NDArray[np.bool_],
-    signal_unit: str,
-) -> dict[str, Reading]:
+def _flat(of: _Smoothed) -> dict[str, Reading]:
     """B from the lowest point of the flat part, Tc from the hump after it or from the part's middle."""
+    fine, tau, smooth, slope, edof, known = of.fine, of.tau, of.smooth, of.slope, of.edof, of.known
     out: dict[str, Reading] = {}
     flat = (np.abs(slope) < 0.5) & known
-    runs = [
-        r for r in _spans(flat, known, 0.5) if r[0] > 0
-    ]  # a curve that begins flat has no white noise to come down from
+    runs = [r for r in _spans(flat, 0.5) if r[0] > 0]  # a curve that begins flat has no white noise to come down from
     runs = [r for r in runs if slope[r[0] : r[1] + 1].max() > -0.25]
     if not runs:
-        runs = [r for r in _spans(flat, known, 3.0)]
+        runs = [r for r in _spans(flat, 3.0)]
         if not runs:
             return out
     first, last = runs[0]
     within = slope[first : last + 1]
     turns = np.flatnonzero((within[1:] >= 0.0) & (within[:-1] < 0.0))
     low_at = first + (int(turns[0]) + 1 if turns.size else int(np.argmin(np.abs(within))))
-    if not _above_white(curve, tau[low_at], smooth[low_at]):
+    if not _above_white(of.curve, tau[low_at], smooth[low_at]):
         return out
     span = (float(tau[first]), float(tau[last]))
     freedom = float(edof[low_at])
@@ -338,7 +358,7 @@ def _flat(
     note = ""
     if octaves < 2.0:
         note = "upper bound: the flat part is no wider than where a falling and a rising slope meet"
-    out["B"] = _reading("B", np.sqrt(np.array([level, *bounds])) / FLICKER, signal_unit, span, note)
+    out["B"] = _reading("B", np.sqrt(np.array([level, *bounds])) / FLICKER, of.unit, span, note)
     # a hump: rising, then falling again
     top = next((k for k in range(low_at + 1, fine.size - 1) if slope[k] >= 0.0 > slope[k + 1] and known[k]), None)
     if top is not None and slope[low_at : top + 1].max() > 0.1:

@@ -324,7 +324,7 @@ def _haar_variance(values: Array, levels: int) -> tuple[Array, NDArray[np.int64]
     sums = np.zeros(levels)
     # the median of the first samples: an outlier there must not become the origin
     origin = float(np.median(values[:ORIGIN_SAMPLES]))
-    _kernel.haar_push(_read_only(values), origin, 1, *_kernel.haar_state(levels, full), sums, full)
+    _kernel.haar_push(_read_only(values), origin, 1, _kernel.haar_state(levels, full), sums, full)
     counts = _kernel.haar_counts(values.size, levels, full)
     return 0.25 * sums / counts, counts
 
@@ -472,7 +472,7 @@ class HaarAccumulator:
 
     def _run(self, values: Array) -> None:
         assert self._origin is not None
-        _kernel.haar_push(_read_only(values), self._origin, self._pushed, *self._state, self._sums, self.full_overlap)
+        _kernel.haar_push(_read_only(values), self._origin, self._pushed, self._state, self._sums, self.full_overlap)
         # what is not finite shows in the first octave, without a pass of its own
         if not np.isfinite(self._sums[0]) and not np.isfinite(values).all():
             first = int(np.argmin(np.isfinite(values)))

@@ -26,10 +26,10 @@ from tests.fuzz import files, scenarios
 
 #: Where long work begins: a command that gets there was not refused.
 _WORK = (
-    "insemu.work.run_items", "insemu.fit.fit", "insemu.fit.fit_mli_pieces", "insemu.fit.bootstrap_intervals", "insemu.fit.selection.select",
-    "insemu.gap.find_gap", "insemu.gap.find_static_gap", "insemu.evaluate.analyse_designs", "insemu.emulate.dead_reckon",
-    "insemu.evaluate.run_experiment", "insemu.report.fit.render_fits", "insemu.report.characterise.render_characterisation",
-    "insemu.report.experiment.render_experiment", "insemu.report.serve.server",
+    "insemu.work.run_items", "insemu.fit.fit", "insemu.fit.estimator.fit", "insemu.fit.fit_mli_pieces", "insemu.fit.bootstrapped",
+    "insemu.fit.selection.select", "insemu.gap.find_gap", "insemu.gap.find_static_gap", "insemu.evaluate.analyse_designs",
+    "insemu.emulate.dead_reckon", "insemu.evaluate.run_experiment", "insemu.report.fit.render_fits",
+    "insemu.report.characterise.render_characterisation", "insemu.report.experiment.render_experiment", "insemu.report.serve.server",
 )  # fmt: skip
 #: Samples of a flight that ``emulate`` still writes here: more is seconds of work on an accepted input.
 _MOST_SAMPLES = 20_000

@@ -26,24 +26,12 @@ _NAMES: Mapping[str, tuple[tuple[str, ...], ColumnMap]] = {
 }
 
 
-def _rows(probe: Probe) -> np.ndarray | None:
-    """Numbers of the first lines; None where they are no table of numbers without a header."""
-    lines = [x for x in probe.lines[:-1] or probe.lines if x.strip() and x.lstrip()[0] not in "%#"][:120]
-    try:
-        rows = [[float(c) for c in line.replace(",", " ").split()] for line in lines]
-    except ValueError:
-        return None
-    if len(rows) < 3 or len({len(r) for r in rows}) != 1:
-        return None
-    return np.array(rows)
-
-
 def _what(probe: Probe) -> str:
     """Which of the three files it is; "" for none."""
     if probe.suffix not in (".txt", ".pos", ".nav", ".imu", ".imr", ".csv", ""):
         return ""
-    rows = _rows(probe)
-    if rows is None or not np.isfinite(rows).all():
+    rows = probe.numbers(120)
+    if rows is None or len(rows) < 3 or not np.isfinite(rows).all():
         return ""
     t = rows[:, 1] if rows.shape[1] == 11 else rows[:, 0]
     step = np.diff(t)

@@ -15,12 +15,8 @@ _MAP = parse_map("time=timestamp[s], enu=tx ty tz[m], quaternion_xyzw=qx qy qz q
 
 
 def _sniff(probe: Probe) -> bool:
-    lines = [x for x in probe.lines[:-1] or probe.lines if x.strip() and x.lstrip()[0] not in "#%"][:20]
-    try:
-        rows = np.array([[float(c) for c in x.replace(",", " ").split()] for x in lines])
-    except ValueError:
-        return False
-    if rows.ndim != 2 or rows.shape[1:] != (8,):
+    rows = probe.numbers(20)
+    if rows is None or rows.shape[1] != 8:
         return False
     return bool((np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1.0) < 0.01).all() and (np.diff(rows[:, 0]) > 0).all())
 
