@@ -3,8 +3,7 @@
 The filter's states are position, velocity and attitude errors and then, axis by axis, the states of the belief's processes: gyroscope x,
 y, z, accelerometer x, y, z. Sample k of an axis carries ``c x_k + v_k`` with ``x_k = Phi x_(k-1) + w_k``; nothing here knows how a filter
 propagates them. Calibration states (scale factor, misalignment) belong to an axis too, and are driven by what the triad measures; a scale factor that
-follows the temperature by that times the temperature.
-States of the GNSS installation (lever arm, latency) come last.
+follows the temperature by that times the temperature. States of the GNSS installation (lever arm, latency) and of its receiver (clock) come last.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from insemu.errors import InputError, nearest
 from insemu.noise import ARMA, DR, LARGEST_LOG_TIME, RC, Follows, NoiseModel, Process, StateBlock, shared_processes
 from insemu.records import AXES, ImuRecord
+
+if TYPE_CHECKING:
+    from insemu.noise import Clock
 
 Array = NDArray[np.float64]
 
@@ -130,6 +133,8 @@ class Extras:
     stationary_start : float
         Factor on the standard deviations with which the states of stationary processes of the axes begin: 1 as a sensor that has run for long, 0 as
         if they were known to be zero, which makes a filter learn them slowly.
+    clock : Clock, optional
+        Bias and drift of the receiver's clock, for raw observations.
     """
 
     gyro_scale: float = 0.0
@@ -142,10 +147,11 @@ class Extras:
     accel_scale_temperature: float = 0.0
     reference_temperature: float = 25.0
     stationary_start: float = 1.0
+    clock: Clock | None = None
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not (np.isfinite(value) and (value >= 0 or name == "reference_temperature")):
+            if name != "clock" and not (np.isfinite(value) and (value >= 0 or name == "reference_temperature")):
                 raise InputError(f"{name} is {value!r}, expected a standard deviation that is not negative")
 
 
@@ -480,8 +486,7 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
     Raises
     ------
     InputError
-        An unknown axis, a polynomial that is not
-        stationary (the message offers the nearest one that is), a parameter without a value.
+        An unknown axis, a polynomial that is not stationary (the message offers the nearest one that is), a parameter without a value.
     """
     if not (np.isfinite(dt) and dt > 0):
         raise InputError(f"the sampling interval is {dt!r}, expected a positive number of seconds")
@@ -539,7 +544,10 @@ def augment(belief: Belief, dt: float, extras: Extras | None = None) -> Augmenta
             constants(count, sigma)
             axis_of += [-1] * count
             driver += [-1] * count
-
+    if extras.clock is not None:
+        slices["clock"] = slice(len(names), len(names) + 2)
+        blocks.append(extras.clock.block(dt))
+        names, axis_of, driver = [*names, "clock_bias", "clock_drift"], [*axis_of, -1, -1], [*driver, -1, -1]
     laws, law_of, white_of, timed = _laws(models, first, dt, len(axis_of))
     stacked = _share(models, first, StateBlock.stack(blocks, dt))
     return Augmentation(

@@ -316,6 +316,42 @@ class GnssRecord(_Timed):
 
 
 @dataclass(frozen=True, repr=False)
+class RawRecord(_Timed):
+    """Raw observations of a GNSS receiver: pseudoranges and range rates to s satellites, less the satellites' clocks.
+
+    Parameters
+    ----------
+    t : (n,) array
+        True time of reception in s on the IMU's clock.
+    names : tuple of str
+        Satellites, for example ``G05``.
+    range, rate : (n, s) arrays
+        m and m/s, with bias and drift of the receiver's clock; NaN: not observed.
+    range_std, rate_std : (n, s) arrays
+        Standard deviations as stated by the receiver, m and m/s.
+    place, velocity : (n, s, 3) arrays
+        Where the satellite was at transmission, in Earth axes as they stood at reception, m; its derivative by the time of reception, m/s.
+    """
+
+    t: Array
+    names: tuple[str, ...]
+    range: Array
+    rate: Array
+    range_std: Array
+    rate_std: Array
+    place: Array
+    velocity: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t", frozen_times(self.t, "raw GNSS time"))
+        shape = (self.t.size, len(self.names))
+        for name in ("range", "rate", "range_std", "rate_std"):
+            object.__setattr__(self, name, frozen(getattr(self, name), f"raw {name}", shape, finite=False))
+        for name in ("place", "velocity"):
+            object.__setattr__(self, name, frozen(getattr(self, name), f"raw {name}", (*shape, 3)))
+
+
+@dataclass(frozen=True, repr=False)
 class Trajectory(_Timed):
     """Position, velocity and attitude nodes of the IMU.
 

@@ -60,7 +60,8 @@ def filled(name, nav, rate, *, settings=(), before=None, tau=0.0, z=None, count=
     before = nav if before is None else before
     z = np.zeros(w) if z is None else z.copy()
     moment = Moment(
-        nav, before, DT, tau, rate, rate, rate.copy(), count, np.ones(6), np.ones(3), np.arange(3), np.zeros(3), -1, -1, np.zeros(12)
+        nav, before, DT, tau, rate, rate, rate.copy(), count, np.ones(6), np.ones(3), np.arange(3), np.zeros(3), -1, -1, np.zeros(2), -1,
+        np.zeros(12),
     )  # fmt: skip
     fill_rows(CODES[name], moment, z, at, Rows(nu, H, R))
     return nu, H, R

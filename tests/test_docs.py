@@ -15,6 +15,8 @@ from insemu.report import static
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 #: Pages that fit and fly longer than the quick suite may take.
 SLOW = {"start", "choose_sensor_and_model", "solve_a_recording"}
+#: Pages whose commands need an optional package.
+NEEDS = {"tight_coupling": "sidereon"}
 PAGES = [
     pytest.param(
         page,
@@ -43,6 +45,8 @@ def steps(page: str) -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize("page", PAGES)
 def test_page(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    if page.stem in NEEDS:
+        pytest.importorskip(NEEDS[page.stem])
     monkeypatch.chdir(tmp_path)
     # pictures beside pages are half the time, and tested with the pages
     monkeypatch.setattr(static, "save", lambda *_, **__: [])

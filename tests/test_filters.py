@@ -156,8 +156,8 @@ def test_the_jacobian_of_a_fix_is_its_derivative():
             z = np.concatenate([nav[:3], nav[3:6]])
             trend = np.concatenate([acceleration, np.zeros(6), r])
             moment = Moment(
-                moved, before, DT, tau + error[15], r, r, r, 1, white, c, axis, lever + error[12:15], 12, 15, trend
-            )
+                moved, before, DT, tau + error[15], r, r, r, 1, white, c, axis, lever + error[12:15], 12, 15, np.zeros(2), -1, trend
+            )  # fmt: skip
             fill_rows(measurements.FIX, moment, z, np.zeros(6), Rows(nu, H, R))
             return -nu, H
 

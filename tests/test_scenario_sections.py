@@ -321,7 +321,8 @@ def test_sections_are_frozen_and_show_what_was_written() -> None:
     assert shown["truth"]["gyro_x"] == [{"process": "WN", "N": "2 deg/h/sqrt(Hz)"}]
     assert shown["truth"]["gyro"] == "WN(N=1 deg/h/sqrt(Hz))"
     assert shown["designs"]["a"]["accel"] == "WN(N=3)" and shown["designs"]["a"]["gyro"]["truth"] is True
-    assert shown["gnss"]["outages"] == [{"start": 60.0, "duration": 5.0}]
+    nothing = {"satellites": None, "elevation": None, "sectors": []}
+    assert shown["gnss"]["outages"] == [{"start": 60.0, "duration": 5.0, **nothing}]
     assert json.loads(json.dumps(shown)) == shown
     # objects in place of what is written are shown as what they are
     made = Scenario.model_validate(
@@ -506,7 +507,9 @@ def test_the_schema_says_what_it_is() -> None:
     found = schema()
     assert (found["$schema"], found["title"]) == ("https://json-schema.org/draft/2020-12/schema", "insemu scenario")
     outage = found["$defs"]["OutageKeys"]["properties"]
-    assert set(outage) == {"start", "duration"} and outage["start"]["x-unit"] == "s"
+    assert (
+        set(outage) == {"start", "duration", "satellites", "elevation", "sectors"} and outage["start"]["x-unit"] == "s"
+    )
     assert found["$defs"]["Gnss"]["properties"]["position_sigma"]["anyOf"][1]["maxItems"] == 3
 
 

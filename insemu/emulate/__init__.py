@@ -16,12 +16,14 @@ from insemu.emulate.dynamics import (
 )
 from insemu.emulate.errors import RecordedErrors
 from insemu.emulate.flight import Flight, gusts, moving_share, origin_at
-from insemu.emulate.gnss import AreaOutage, Outage, antenna, fixes_at, gnss_fixes, random_outages, state_at
+from insemu.emulate.gnss import AreaOutage, Outage, antenna, fix_times, fixes_at, gnss_fixes, random_outages, state_at
 from insemu.emulate.imu import IdealImu, ideal_imu, ideal_stretches, navigation_error
 from insemu.emulate.motion import Command, path_of, profile
 from insemu.emulate.path import Mounting, SmoothPath
 from insemu.emulate.pieces import ErrorPieces, Following, TrueStates, recorded_pieces, simulated_pieces
+from insemu.emulate.receiver import single_point
 from insemu.emulate.reckon import DeadReckoning, dead_reckon
+from insemu.emulate.satellites import CONSTELLATIONS, Multipath, Receiver, Sky, observed, seen, sky_over
 from insemu.emulate.sensor import Corrupted, TemperatureProfile, corrupt, covariates_of
 from insemu.emulate.sources import MotionSource, Source, load_flight, read_track
 from insemu.emulate.track import SmoothedTrack, Track, bridged_gap, held_out_distance, smooth_track, turn_rate
@@ -30,6 +32,7 @@ from insemu.emulate.vehicle import VEHICLES
 from insemu.emulate.waypoints import Waypoints, read_waypoints, route
 
 __all__ = [
+    "CONSTELLATIONS",
     "TRAJECTORIES",
     "VEHICLES",
     "AreaOutage",
@@ -48,9 +51,12 @@ __all__ = [
     "Mounting",
     "Moving",
     "MovingVehicle",
+    "Multipath",
     "Outage",
+    "Receiver",
     "RecordedErrors",
     "Regime",
+    "Sky",
     "Slip",
     "SmoothPath",
     "SmoothedTrack",
@@ -66,6 +72,7 @@ __all__ = [
     "covariates_of",
     "dead_reckon",
     "difference",
+    "fix_times",
     "fixes_at",
     "gnss_fixes",
     "gusts",
@@ -75,6 +82,7 @@ __all__ = [
     "load_flight",
     "moving_share",
     "navigation_error",
+    "observed",
     "origin_at",
     "path_of",
     "preset_file",
@@ -86,7 +94,10 @@ __all__ = [
     "read_waypoints",
     "recorded_pieces",
     "route",
+    "seen",
     "simulated_pieces",
+    "single_point",
+    "sky_over",
     "smooth_track",
     "state_at",
     "turn_rate",

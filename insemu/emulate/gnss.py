@@ -24,16 +24,45 @@ _AT_A_TIME = 1 << 14
 
 @dataclass(frozen=True)
 class Outage:
-    """No fixes for ``start_s < t <= start_s + duration_s``; a duration of zero is no outage."""
+    """No fixes for ``start_s < t <= start_s + duration_s``; a duration of zero is no outage. Of raw observations some may be left.
+
+    Parameters
+    ----------
+    start_s, duration_s : float
+    satellites : int, optional
+        So many are left at most, the highest.
+    elevation : float, optional
+        Those above it are left, rad.
+    sectors : sequence of (from, to, elevation)
+        Between two azimuths, from the first clockwise to the second, those above an elevation, rad: the houses of a street.
+    """
 
     start_s: float
     duration_s: float
+    satellites: int | None = None
+    elevation: float | None = None
+    sectors: tuple[tuple[float, float, float], ...] = ()
 
     def __post_init__(self) -> None:
+        if self.satellites is not None and self.satellites < 0:
+            raise InputError(f"an outage leaves {self.satellites} satellites, expected none or more")
         if not (np.isfinite(self.start_s) and np.isfinite(self.duration_s) and self.duration_s >= 0):
             raise InputError(
                 f"outage from {self.start_s} s for {self.duration_s} s: expected finite numbers and no negative duration"
             )
+
+    @property
+    def total(self) -> bool:
+        """Whether it leaves no observation."""
+        return not self.satellites and self.elevation is None and not self.sectors
+
+    def horizon(self, azimuth: ArrayLike) -> Array:
+        """Lowest elevation of what is left at azimuths of any shape, rad."""
+        out = np.full(np.shape(azimuth), -np.pi if self.elevation is None else self.elevation)
+        for first, last, height in self.sectors:
+            inside = np.mod(np.asarray(azimuth) - first, 2.0 * np.pi) <= np.mod(last - first, 2.0 * np.pi)
+            out = np.where(inside, np.maximum(out, height), out)
+        return out
 
     @property
     def end_s(self) -> float:

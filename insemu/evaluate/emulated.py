@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from insemu import earth, rotation
 from insemu.effects import EFFECTS, aid_age
 from insemu.emulate import (
+    CONSTELLATIONS,
     AreaOutage,
     ErrorPieces,
     IdealImu,
@@ -22,18 +23,25 @@ from insemu.emulate import (
     Moving,
     Outage,
     RecordedErrors,
+    Sky,
     Source,
     TrueStates,
+    antenna,
     corrupt,
     covariates_of,
+    fix_times,
     gnss_fixes,
     ideal_imu,
     load_flight,
+    observed,
     preset_file,
     random_outages,
     read_vehicle,
     recorded_pieces,
+    seen,
     simulated_pieces,
+    single_point,
+    sky_over,
     state_at,
 )
 from insemu.errors import InputError
@@ -52,7 +60,7 @@ from insemu.evaluate.world import (
 from insemu.filters import AidUse, InitialSigma, NavigationFilter, Standstill, TrueMotion
 from insemu.lost import restored
 from insemu.noise import NoiseModel, Spread, load_spread
-from insemu.records import AXES, AidRecord, GnssRecord, ImuRecord, Recording, Trajectory
+from insemu.records import AXES, AidRecord, GnssRecord, ImuRecord, RawRecord, Recording, Trajectory
 from insemu.scenario import Scenario, VehicleKeys
 from insemu.strapdown import NavState
 
@@ -220,7 +228,7 @@ class EmulatedWorld:
                     f"outage {k + 1} begins at {given.start_s:g} s, but filters begin at {start - zero:g} s",
                     where=where,
                 )
-        out: list[Outage | AreaOutage] = [Outage(zero + o.start_s, o.duration_s) for o in gnss.outages]
+        out: list[Outage | AreaOutage] = [replace(o, start_s=zero + o.start_s) for o in gnss.outages]
         out += gnss.areas
         if gnss.random_outages is not None:
             drawn = gnss.random_outages
@@ -361,6 +369,8 @@ class EmulatedWorld:
             Without errors, the outages kept.
         """
         gnss = self.scenario.gnss
+        if gnss.raw is not None:
+            return single_point(self._raw(rng, ideal=ideal))[0]
         return gnss_fixes(
             self.reference,
             rate_hz=gnss.rate,
@@ -373,6 +383,27 @@ class EmulatedWorld:
             rng=rng,
             effects=() if ideal else self.truth.effects,
         )
+
+    @cached_property
+    def _sky(self) -> tuple[Sky, NDArray[np.bool_]]:
+        """Satellites over the flight and which are observed, the same in every realization."""
+        gnss, receiver = self.scenario.gnss, self.scenario.gnss.raw
+        assert receiver is not None
+        t = fix_times(self.reference, gnss.rate)
+        llh, velocity = antenna(self.reference, t, gnss.lever_arm)
+        named = receiver.constellation
+        file = CONSTELLATIONS[named] if named in CONSTELLATIONS else self.files[named]
+        sky = sky_over(file, t, llh, velocity, receiver.start - self.flight.path.start)
+        return sky, seen(sky, llh, receiver.mask, self.outages)
+
+    def _raw(self, rng: np.random.Generator, *, ideal: bool = False) -> RawRecord:
+        """Raw observations; arguments as of :meth:`fixes`, which are made of them."""
+        assert self.scenario.gnss.raw is not None
+        return observed(*self._sky, self.scenario.gnss.raw, rng, ideal=ideal)
+
+    def raw(self, realization: int) -> RawRecord | None:
+        """Raw observations of one realization, where the scenario has any."""
+        return None if self.scenario.gnss.raw is None else self._raw(stream(self.scenario.seed, "gnss", realization))
 
     def _aid(self, use: AidUse, realization: int | None) -> AidRecord:
         """What an aid says in one realization, by its own stream whatever other aids there are; perfect where there is none."""

@@ -44,7 +44,7 @@ from insemu.filters import (
 )
 from insemu.fit import FitResult, fit, fit_together
 from insemu.noise import ARMA, CommonDraws, NoiseModel, NotStationary, axis_unit, load
-from insemu.records import AXES, AidRecord, GnssRecord, ImuRecord, Recording, Series, Trajectory
+from insemu.records import AXES, AidRecord, GnssRecord, ImuRecord, RawRecord, Recording, Series, Trajectory
 from insemu.scenario import AxisSource, Scenario, code_version, digest
 from insemu.strapdown import NavState, trajectory_of
 
@@ -74,6 +74,7 @@ class _Realized:
     true: TrueStates | None
     start: NavState
     start_sigma: InitialSigma
+    raw: RawRecord | None
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ class _Prepared:
 
     ekf: NavigationFilter
     imu: ImuRecord
-    gnss: GnssRecord
+    gnss: Any  # fixes, or the raw observations
     aids: Sequence[AidRecord]
     known: ImuRecord
     rows: NDArray[np.intp]
@@ -339,8 +340,9 @@ class Experiment:
         made = self.filter(design)
         if not isinstance(made, LooselyCoupledEKF) or not made.first_order:
             name = self.scenario.designs[design].filter
+            what = "tightly coupled" if name is None else f"the filter '{name}'"
             raise InputError(
-                f"the design '{design}' is the filter '{name}', expected the extended Kalman filter",
+                f"the design '{design}' is {what}, expected the loosely coupled extended Kalman filter",
                 where=str(self.file or "scenario"),
             )
         return made
@@ -364,7 +366,8 @@ class Experiment:
         realized = []
         for index in indices:
             recording, true = self.world.realized(index)
-            realized.append(_Realized(recording, true, *self.world.start(index, recording.imu)))
+            raw = self.world.raw(index) if isinstance(self.world, EmulatedWorld) else None
+            realized.append(_Realized(recording, true, *self.world.start(index, recording.imu), raw))
         flown = {name: self._flown(name, realized) for name in self.beliefs}
         return [
             of_designs({name: found[k] for name, found in flown.items()}, self.world.output_times)
@@ -417,7 +420,18 @@ class Experiment:
         imu = self._prefiltered(name, self.world.imu_for(known.imu, ekf))
         # the true states are those of the data as they came: they say nothing of what is left after a compensation
         true = one.true if known is one.recording else None
-        return _Prepared(ekf, imu, self.believed(name, known.gnss), known.aids, known.imu, rows, unaided, true)
+        gnss = self._received(name, ekf, one, known.gnss)
+        return _Prepared(ekf, imu, gnss, known.aids, known.imu, rows, unaided, true)
+
+    def _received(self, name: str, ekf: NavigationFilter, one: _Realized, fixes: GnssRecord) -> GnssRecord | RawRecord:
+        """What a design takes of the receiver, as it believes it: fixes, or with states of the clock raw observations."""
+        options = self.scenario.designs[name].options
+        if one.raw is None or options.states.clock is None:
+            return self.believed(name, fixes)
+        if not isinstance(ekf, LooselyCoupledEKF):
+            raise InputError("this filter takes no raw observations, expected one of insemu's", where=f"designs.{name}")
+        std = one.raw.range_std * options.tuning.position, one.raw.rate_std * options.tuning.velocity
+        return replace(one.raw, range_std=std[0], rate_std=std[1])
 
     def _judged(self, name: str, one: _Realized, p: _Prepared, run: FilterResult) -> dict[str, Any]:
         """What is kept of one design in one realization."""

@@ -91,6 +91,7 @@ class StretchedWorld(EmulatedWorld):
             "truth.temperature": truth.temperature is not None,
             "levels that follow a covariate": bool(covariates.needed(truth.models().values())),
             "gnss.areas": bool(s.gnss.areas),
+            "gnss.raw": s.gnss.raw is not None,
             "aids": bool(s.aids),
             "smoother": s.smoother,
         }

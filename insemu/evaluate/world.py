@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from insemu.emulate import CONSTELLATIONS
 from insemu.errors import InputError
 from insemu.filters import FilterResult, SmootherResult
 from insemu.formats import read_recording, read_static
@@ -51,6 +52,8 @@ def input_files(scenario: Scenario, file: str | Path | None) -> dict[str, Path]:
         source = scenario.trajectory
         own = source.moving.file if source.moving else None
         names += [name for name in (source.waypoints, source.track, source.motion, own) if name is not None]
+    if (raw := scenario.gnss.raw) is not None and raw.constellation not in CONSTELLATIONS:
+        names.append(raw.constellation)
     if scenario.truth is not None and scenario.truth.file is not None:
         names.append(scenario.truth.file)
     for design in scenario.designs.values():

@@ -1,4 +1,4 @@
-"""The loosely coupled, closed-loop error-state filter: the door to the compiled loop."""
+"""The closed-loop error-state filter, loosely or tightly coupled: the door to the compiled loop."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from insemu.augment import Belief, StateLayout, augment
 from insemu.errors import InputError
 from insemu.filters import following, kernel
 from insemu.filters.buffers import Buffers
-from insemu.filters.events import FIX_ROWS, SAME_TIME, Events, GnssSigma, aid_events, fix_events, joined
+from insemu.filters.events import FIX_ROWS, SAME_TIME, Events, GnssSigma, aid_events, fix_events, joined, raw_events
 from insemu.filters.events import side_by_side as beside
 from insemu.filters.families import Family
 from insemu.filters.measurements import FIX
 from insemu.filters.options import FilterOptions, InitialSigma, three_sigmas
 from insemu.filters.packed import Plan, Samples, Start, pack
 from insemu.filters.results import FilterResult
-from insemu.records import AidRecord, GnssRecord, ImuRecord, Trajectory
+from insemu.records import AidRecord, GnssRecord, ImuRecord, RawRecord, Trajectory
 from insemu.strapdown import NavState
 
 Array = NDArray[np.float64]
@@ -150,7 +150,7 @@ class LooselyCoupledEKF:
     @property
     def first_order(self) -> bool:
         """Whether it is the extended Kalman filter itself, which linear analyses hold for."""
-        return self.options.family == Family()
+        return self.options.family == Family() and self.clock_at < 0
 
     @property
     def layout(self) -> StateLayout:
@@ -184,7 +184,7 @@ class LooselyCoupledEKF:
     def run(
         self,
         imu: ImuRecord,
-        gnss: GnssRecord | None,
+        gnss: GnssRecord | RawRecord | None,
         initial: NavState | Trajectory,
         initial_sigma: InitialSigma | ArrayLike,
         *,
@@ -197,10 +197,11 @@ class LooselyCoupledEKF:
         ----------
         imu : ImuRecord
             Of any kind; see :meth:`~insemu.records.ImuRecord.as_increments`.
-        gnss : GnssRecord or None
-            Fixes at their own times: each is used at the first IMU epoch at or after it, taken back to its time. Fixes before the second
-            and after the last IMU stamp are left out. Where the latency is a state, a fix's own time is its stamp less the latency as
-            estimated by then, so that fixes that come late are used in the order in which they were valid.
+        gnss : GnssRecord, RawRecord or None
+            Fixes, or raw observations where the clock is a state (tightly coupled), at their own times: each is used at the first IMU epoch at
+            or after it, taken back to its time. What comes before the second and after the last IMU stamp is left out. Where the latency is a
+            state, a fix's own time is its stamp less the latency as estimated by then, so that fixes that come late are used in the order in
+            which they were valid.
         initial : NavState or Trajectory
             At ``imu.t[0]``; of a trajectory its first row.
         initial_sigma : InitialSigma or (n, n) covariance
@@ -229,7 +230,7 @@ class LooselyCoupledEKF:
     def run_many(
         self,
         imus: Sequence[ImuRecord],
-        gnsses: Sequence[GnssRecord | None],
+        gnsses: Sequence[GnssRecord | RawRecord | None],
         initials: Sequence[NavState | Trajectory],
         initial_sigma: InitialSigma | ArrayLike,
         *,
@@ -244,7 +245,7 @@ class LooselyCoupledEKF:
 
         Parameters
         ----------
-        imus, gnsses, initials : sequences of ImuRecord, GnssRecord or None, NavState or Trajectory
+        imus, gnsses, initials : sequences of ImuRecord, GnssRecord, RawRecord or None, NavState or Trajectory
             As in :meth:`run`, one for each realization.
         initial_sigma : InitialSigma or (n, n) covariance
             Of all.
@@ -282,7 +283,7 @@ class LooselyCoupledEKF:
     def _prepared(
         self,
         imu: ImuRecord,
-        gnss: GnssRecord | None,
+        gnss: GnssRecord | RawRecord | None,
         initial: NavState | Trajectory,
         initial_sigma: InitialSigma | ArrayLike,
         aids: Sequence[AidRecord],
@@ -298,9 +299,10 @@ class LooselyCoupledEKF:
     def plan(self, t: Array, events: Events) -> Plan:
         """How a flight runs; ``t`` (n,) are the epochs, s."""
         o, (lever_at, latency_at), at = self.options, self.installation(), self.covariance_epochs(t)
+        clock_at = self.clock_at
         return Plan(
-            self._gravity, self.lever_arm, lever_at, latency_at, self.thresholds(events.z.shape[1]), o.gate_timeout, o.covariance_every,
-            o.output_every, trend_window(self.dt), steps_around(self.dt), SAME_TIME * self.dt, o.store == "fixes", at,
+            self._gravity, self.lever_arm, lever_at, latency_at, clock_at, self.thresholds(events.z.shape[1]), o.gate_timeout,
+            o.covariance_every, o.output_every, trend_window(self.dt), steps_around(self.dt), SAME_TIME * self.dt, o.store == "fixes", at,
             self._node_epochs(t, at, events, moving=latency_at >= 0),
         )  # fmt: skip
 
@@ -426,25 +428,37 @@ class LooselyCoupledEKF:
         lever, latency = (slices[name].start if name in slices else -1 for name in ("lever_arm", "latency"))
         return lever, latency
 
-    def events(self, t: Array, gnss: GnssRecord | None, aids: Sequence[AidRecord] = ()) -> Events:
+    @property
+    def clock_at(self) -> int:
+        """Place of the bias of the receiver's clock, -1 where it is not carried."""
+        return self.layout.slices["clock"].start if "clock" in self.layout.slices else -1
+
+    def events(self, t: Array, gnss: GnssRecord | RawRecord | None, aids: Sequence[AidRecord] = ()) -> Events:
         """Fixes, aids and standstill updates in the order of the epochs at which they are used.
 
         Parameters
         ----------
         t : (n,) array
             Epochs of the IMU, s.
-        gnss : GnssRecord or None
-            Fixes at their own times.
+        gnss : GnssRecord, RawRecord or None
+            Fixes or raw observations at their own times.
         aids : sequence of AidRecord
             Further measurements.
 
         Raises
         ------
         InputError
-            A fix without a standard deviation, or an aid that :func:`~insemu.filters.events.aid_events` refuses.
+            A fix without a standard deviation, raw observations without the states that they need, or an aid that
+            :func:`~insemu.filters.events.aid_events` refuses.
         """
         parts: list[Events] = []
-        if gnss is not None:
+        if isinstance(gnss, RawRecord):
+            if self.clock_at < 0 or max(self.installation()) >= 0:
+                raise InputError(
+                    "raw observations need the states of the clock, and no lever arm or latency as a state"
+                )
+            parts.append(raw_events(t, self.dt, gnss))
+        elif gnss is not None:
             parts.append(fix_events(t, self.dt, gnss, self.gnss_sigma, imposed=self.options.imposed_gnss_sigma))
         still = None if self.options.standstill is None else self.options.standstill.record(t)
         parts += [aid_events(t, self.dt, aid) for aid in (*aids, still) if aid is not None]

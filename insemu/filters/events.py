@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from insemu.compiled import njit
 from insemu.errors import InputError, nearest
 from insemu.filters.aid import SETTINGS
-from insemu.filters.aids import AIDS, CODES
+from insemu.filters.aids import AIDS, CODES, SATELLITE
 from insemu.filters.measurements import FIX
 from insemu.filters.options import three_sigmas
-from insemu.records import AidRecord, GnssRecord
+from insemu.records import AidRecord, GnssRecord, RawRecord
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -22,8 +22,8 @@ GnssSigma = tuple[ArrayLike | None, ArrayLike | None]
 
 #: Components of a fix: position, then velocity. An aid with more rows makes every table wider.
 FIX_ROWS = 6
-#: Kinds of measurements: fixes and all aids.
-KINDS = 1 + len(AIDS)
+#: Kinds of measurements: fixes, all aids and satellites.
+KINDS = 1 + SATELLITE
 #: Times this share of a sampling interval apart are the same.
 SAME_TIME = 1e-6
 
@@ -38,7 +38,7 @@ class Events(NamedTuple):
     epoch : (f,) array of int
         First IMU row at or after that time.
     kind : (f,) array of int
-        0 for a fix, else the code of the aid.
+        0 for a fix, else the code of the aid or of a satellite.
     since : (f,) array of int
         IMU row after which a mean rate is taken (aids).
     tau : (f,) array
@@ -46,7 +46,7 @@ class Events(NamedTuple):
     z, var : (f, w) arrays
         Measured values, and their variances; NaN where there is none.
     settings : (f, SETTINGS) array
-        Constants of the aids.
+        Constants of the aids, motion of the satellites.
     """
 
     t: Array
@@ -180,6 +180,30 @@ def fix_events(t: Array, dt: float, gnss: GnssRecord, sigma: GnssSigma | None, *
     epoch, tau = _on_epochs(t, dt, times)
     kind = np.full(inside.size, FIX, dtype=np.int64)
     return Events(times, epoch, kind, epoch, tau, z, var, np.zeros((inside.size, SETTINGS)))
+
+
+def raw_events(t: Array, dt: float, raw: RawRecord) -> Events:
+    """Raw observations on the epochs of an IMU, one event for each satellite and epoch; see :func:`fix_events`.
+
+    Parameters
+    ----------
+    t : (n,) array
+        Epochs, s.
+    dt : float
+        Nominal sampling interval, s.
+    raw : RawRecord
+        Observations outside the epochs are left out.
+    """
+    inside = (raw.t > t[0] + SAME_TIME * dt) & (raw.t <= t[-1] + SAME_TIME * dt)
+    row, satellite = np.nonzero(inside[:, None] & (np.isfinite(raw.range) | np.isfinite(raw.rate)))
+    epoch, tau = _on_epochs(t, dt, raw.t[row])
+    z, std = (
+        np.stack([a[row, satellite], b[row, satellite]], axis=1)
+        for a, b in ((raw.range, raw.rate), (raw.range_std, raw.rate_std))
+    )
+    settings = np.hstack([raw.place[row, satellite], raw.velocity[row, satellite]])
+    kind = np.full(row.size, SATELLITE, dtype=np.int64)
+    return Events(raw.t[row], epoch, kind, epoch - 1, tau, z, std**2, settings)
 
 
 def aid_events(t: Array, dt: float, aid: AidRecord) -> Events:

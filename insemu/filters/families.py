@@ -272,7 +272,8 @@ def _rows_at(u: Update, kind: int, moment: Moment, z: Array, settings: Array, ro
     take_off(u.nav_before, u.dx)
     here = Moment(
         u.nav, u.nav_before, moment.dt, moment.tau, moment.rate, moment.rate_before, moment.mean_rate, moment.samples, moment.white, moment.c_of,
-        moment.axis, moment.lever, moment.lever_at, moment.latency_at, moment.trend,
+        moment.axis, moment.lever, moment.lever_at, moment.latency_at, moment.clock, moment.clock_at,
+        moment.trend,
     )  # fmt: skip
     fill_rows(kind, here, z, settings, rows)
 

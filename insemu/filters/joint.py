@@ -99,7 +99,7 @@ class _Axes(NamedTuple):
 def _fixes(t: Array, gyro: Array, nav: Array, epoch: Ints, tau: Array, seen: _Axes, rows: Rows) -> None:
     """``rows`` (nu, H, R) of :func:`seen_at_truth`."""
     (white, c_of, axis, lever), (nu, H, R) = seen, rows
-    now, past, z, trend = np.zeros(13), np.zeros(13), np.empty(6), np.zeros(12)
+    now, past, z, trend, clock = np.zeros(13), np.zeros(13), np.empty(6), np.zeros(12), np.zeros(2)
     for i in range(epoch.size):
         k = epoch[i]
         before = max(k - 1, 1)
@@ -109,7 +109,9 @@ def _fixes(t: Array, gyro: Array, nav: Array, epoch: Ints, tau: Array, seen: _Ax
             z[j] = nav[k, j]
         dt = t[k] - t[k - 1]
         rate, rate_before = gyro[k] / dt, gyro[before] / (t[before] - t[before - 1])
-        moment = Moment(now, past, dt, tau[i], rate, rate_before, rate, 1, white, c_of[i], axis, lever, -1, -1, trend)
+        moment = Moment(
+            now, past, dt, tau[i], rate, rate_before, rate, 1, white, c_of[i], axis, lever, -1, -1, clock, -1, trend
+        )
         fill_fix(moment, z, trend, Rows(nu[i], H[i], R[i]))
 
 

@@ -102,7 +102,8 @@ def run(
     t, gyro, accel, power = samples
     nav = start.nav
     place, axis, c0, driver, white, steps, q_law, time_at, time_law, time_of, laws, white_of = model
-    lever_at, latency_at, every, window, store = plan.lever_at, plan.latency_at, plan.every, plan.window, plan.store
+    lever_at, latency_at, clock_at = plan.lever_at, plan.latency_at, plan.clock_at
+    every, window, store = plan.every, plan.window, plan.store
     P = out.last
     n = place.size
     m = n - 9
@@ -129,7 +130,7 @@ def run(
     past = zeros(nav, (window, 6))  # acceleration and rate of the last steps
     trend = zeros(nav, 12)
     white_now, white_step = zeros(nav, 6), zeros(nav, 6)
-    lever = zeros(nav, 3)
+    lever, clock = zeros(nav, 3), zeros(nav, 2)
     installed = lever_at >= 0 or latency_at >= 0
     c_of = zeros(nav, m)
     dx = zeros(nav, n)
@@ -337,10 +338,12 @@ def run(
                     lever[i] = plan.lever[i]
                     if lever_at >= 0:
                         lever[i] += x[place[lever_at + i]]
+                    if clock_at >= 0 and i < 2:
+                        clock[i] = x[place[clock_at + i]]
                     mean_rate[i] = rate_sum[kind, i] / max(rate_count[kind], 1)
                 moment = Moment(
                     nav, nav_before, dt, tau, rate, rate1, mean_rate, rate_count[kind], white_step, c_of, axis, lever, lever_at,
-                    latency_at, trend,
+                    latency_at, clock, clock_at, trend,
                 )  # fmt: skip
                 fill_rows(kind, moment, events.z[event], events.settings[event], rows)
                 if kind == FIX and latency_at >= 0:

@@ -61,8 +61,8 @@ class Plan(NamedTuple):
         One of :data:`insemu.earth.GRAVITY_CODES`.
     lever : (3,) array
         Nominal lever arm from IMU to antenna, m, body axes.
-    lever_at, latency_at : int
-        First lever-arm state and latency state in the layout, -1 where they are not carried.
+    lever_at, latency_at, clock_at : int
+        First lever-arm state, latency state and first state of the clock in the layout, -1 where they are not carried.
     thresholds : (w + 1,) array
         Largest accepted normalised innovation squared by the number of components.
     timeout : float
@@ -83,6 +83,7 @@ class Plan(NamedTuple):
     lever: Array
     lever_at: int
     latency_at: int
+    clock_at: int
     thresholds: Array
     timeout: float
     every: int
@@ -158,10 +159,11 @@ def pack(aug: Augmentation, powers: int, *, side_by_side: bool = False) -> Packe
         slot[s] = used[lanes[s]]
         used[lanes[s]] += 1
     slots = int(used.max(initial=0))
-    loose = np.nonzero(aug.axis < 0)[0]  # no axis sees them: one more slot, any lanes
+    loose = np.nonzero(aug.axis < 0)[0]  # no axis sees them: further slots, any lanes
     for i, s in enumerate(loose):
-        slot[s], lanes[s] = slots + i // 6, i % 6
-    slots += -(-loose.size // 6)
+        chained = i > 0 and aug.Phi[s - 1, s] != 0.0  # into the lane of the state that it drives
+        slot[s], lanes[s] = (slot[s - 1] + 1, lanes[s - 1]) if chained else (slots + i // 6, i % 6)
+    slots = max(slots, int(slot[loose].max(initial=-1)) + 1)
     if slots > expanded.MAX_SLOTS:
         raise InputError(f"an axis carries {slots} states, expected at most {expanded.MAX_SLOTS}")
     place = np.concatenate([np.arange(9), FIRST + wide * slot + lanes]).astype(np.int64)

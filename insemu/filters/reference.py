@@ -184,10 +184,12 @@ class _Moving:
         is_fix = kind == measurements.FIX
         trend = self.trend(k, mean_dt, tau) if is_fix and self.installed else np.zeros(12)
         lever = self.ekf.lever_arm + (self.x[lever_at - 9 : lever_at - 6] if lever_at >= 0 else 0.0)
+        clock_at = self.ekf.clock_at
+        clock = self.x[clock_at - 9 : clock_at - 7] if clock_at >= 0 else np.zeros(2)
         rates = [self.rate] if is_fix else self.rates[events.since[at] : k]
         moment = Moment(
             self.nav, self.nav_before, self.dt, tau, self.rate, self.rate_before, np.mean(rates, axis=0), len(rates), self.white, self.seen,
-            a.axis, lever, lever_at, latency_at, trend,
+            a.axis, lever, lever_at, latency_at, clock, clock_at, trend,
         )  # fmt: skip
         fill_rows(kind, moment, events.z[at], events.settings[at], Rows(nu, H, R))
         if is_fix and latency_at >= 0:

@@ -37,6 +37,10 @@ class Moment(NamedTuple):
         From IMU to antenna, m, body axes.
     lever_at, latency_at : int
         First lever-arm state and latency state among all states, -1 where they are not carried.
+    clock : (2,) array
+        Bias and drift of the receiver's clock, m and m/s; zero where they are not carried.
+    clock_at : int
+        Place of the bias among all states, -1 where it is not carried; the drift stands behind it.
     trend : (12,) array
         See :func:`insemu.filters.measurements.fill_trend` (where the latency is a state) and :func:`insemu.filters.measurements.fill_rate`.
     """
@@ -55,6 +59,8 @@ class Moment(NamedTuple):
     lever: Array
     lever_at: int
     latency_at: int
+    clock: Array
+    clock_at: int
     trend: Array
 
 

@@ -263,7 +263,7 @@ def _rows_of(p: Points, o: Design, event: tuple[int, float, Array, Array], befor
     dt, nav_before, given, count, c_of = before
     m, w, n = c_of.size, R.shape[0], p.d.shape[1]
     kind, tau, z, settings = event
-    here, past, rates, lever = np.empty(13), np.empty(13), np.empty((3, 3)), np.empty(3)
+    here, past, rates, lever, clock = np.empty(13), np.empty(13), np.empty((3, 3)), np.empty(3), np.zeros(2)
     H, noise, none, error = np.zeros((w, n)), np.zeros((w, w)), np.zeros(12), np.empty(9)
     for i in range(nu.shape[0]):
         g, lane = i // LANES, i % LANES
@@ -282,8 +282,11 @@ def _rows_of(p: Points, o: Design, event: tuple[int, float, Array, Array], befor
             lever[a] = o.plan.lever[a]
             if o.plan.lever_at >= 0:
                 lever[a] += p.x[g, o.plan.lever_at - 9 + a, lane]
+        if o.plan.clock_at >= 0:
+            for a in range(2):
+                clock[a] = p.x[g, o.plan.clock_at - 9 + a, lane]
         moment = Moment(
-            here, past, dt, tau, rates[0], rates[1], rates[2], count, o.white, c_of, o.axis, lever, -1, -1, none
+            here, past, dt, tau, rates[0], rates[1], rates[2], count, o.white, c_of, o.axis, lever, -1, -1, clock, -1, none
         )  # fmt: skip
         fill_rows(kind, moment, z, settings, Rows(nu[i], H, noise))
         if i == 0:

@@ -25,6 +25,7 @@ from insemu.errors import InputError
 from insemu.filters.aids import AIDS, CODES
 from insemu.filters.buffers import Buffers
 from insemu.filters.ekf import DIVERGED, Flight, LooselyCoupledEKF
+from insemu.filters.events import KINDS
 from insemu.filters.families import Family
 from insemu.filters.packed import Start
 from insemu.filters.results import FilterResult
@@ -133,7 +134,7 @@ class UnscentedKalmanFilter(LooselyCoupledEKF):
 
 def _angles(width: int) -> Array:
     """Which rows of every kind of measurement are angles, (kinds, width)."""
-    out = np.zeros((1 + len(AIDS), width))
+    out = np.zeros((KINDS, width))
     for name, aid in AIDS.items():
         units = list(aid.rows.values())[:width]
         out[CODES[name], : len(units)] = [unit == "rad" for unit in units]

@@ -5,6 +5,7 @@ Sums come free: ``2*GM() + WN()``.
 """
 
 from insemu.noise.block import StateBlock
+from insemu.noise.clock import Clock
 from insemu.noise.files import axis_unit, load, save
 from insemu.noise.follow import KNOWN as COVARIATES
 from insemu.noise.follow import LARGEST_LOG_GAIN, LARGEST_LOG_TIME, Follows, require_constant
@@ -39,6 +40,7 @@ __all__ = [
     "SAME_RATE",
     "SIN",
     "WN",
+    "Clock",
     "CommonDraws",
     "Follows",
     "NoiseModel",

@@ -16,13 +16,14 @@ from insemu.denoise import Rule
 from insemu.effects import EFFECTS, EffectUse
 from insemu.errors import InputError, nearest
 from insemu.filters import FAMILIES, FilterOptions, Standstill
-from insemu.noise import NoiseModel
+from insemu.noise import Clock, NoiseModel
 from insemu.records import AXES
 from insemu.scenario.designs import shipped_designs, spell_out
 from insemu.scenario.fields import (
     MODEL_JSON,
     EffectList,
     Length,
+    LengthNoise,
     Made,
     Parsed,
     PerKelvin,
@@ -32,6 +33,7 @@ from insemu.scenario.fields import (
     Seconds,
     Section,
     Speed,
+    SpeedWalk,
     Structure,
     computed,
     key,
@@ -45,6 +47,15 @@ LARGEST = 1e6
 
 #: A state that is left out where its standard deviation is zero.
 constant = partial(key, 0.0, ge=0, le=LARGEST)
+
+
+class ClockKeys(Section):
+    """Clock of a receiver of raw observations, times the speed of light."""
+
+    bias: Length = key(Clock.bias, "standard deviation of the bias at the start", ge=0, le=LARGEST)
+    drift: Speed = key(Clock.drift, "standard deviation of the drift at the start", ge=0, le=LARGEST)
+    white: LengthNoise = key(Clock.white, "white noise of the frequency", ge=0, le=LARGEST)
+    walk: SpeedWalk = key(Clock.walk, "random walk of the frequency", ge=0, le=LARGEST)
 
 
 class StateKeys(Section):
@@ -65,6 +76,10 @@ class StateKeys(Section):
     )
     lever_arm: Length = constant("each component of the way from IMU to antenna")
     latency: Seconds = constant("time by which the fixes come late")
+    clock: Annotated[Clock, Made(ClockKeys)] | None = key(
+        None,
+        "bias and drift of the receiver's clock; a design with them is tightly coupled to the raw observations (gnss.raw)",
+    )
     stationary_start: float = key(
         1.0,
         "factor on the standard deviations with which stationary processes of the axes begin; 0: known to be zero, learnt slowly",

@@ -9,12 +9,23 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from insemu.effects import AID_KINDS
-from insemu.emulate import TRAJECTORIES, AreaOutage, Mount, Mounting, Outage, TemperatureProfile, preset_file
+from insemu.emulate import (
+    CONSTELLATIONS,
+    TRAJECTORIES,
+    AreaOutage,
+    Mount,
+    Mounting,
+    Multipath,
+    Outage,
+    Receiver,
+    TemperatureProfile,
+    preset_file,
+)
 from insemu.errors import InputError, nearest, shown
 from insemu.filters import InitialSigma
-from insemu.noise import NoiseModel
+from insemu.noise import Clock, NoiseModel
 from insemu.records import AXES, Sampling
-from insemu.scenario.design import AxisSource, Design, OrName
+from insemu.scenario.design import AxisSource, ClockKeys, Design, OrName
 from insemu.scenario.fields import (
     AccelModel,
     AidUses,
@@ -132,6 +143,41 @@ class OutageKeys(Section):
 
     start_s: Seconds = Field(alias="start", ge=0, description="time from the start, or a date of a recording")
     duration_s: Seconds = Field(alias="duration", ge=0, description="how long; the fix at its end is withheld, too")
+    satellites: int | None = key(None, "of gnss.raw so many are left at most, the highest", ge=0, examples=[3])
+    elevation: Radians | None = key(None, "of gnss.raw those above this elevation are left", examples=["40 deg"])
+    sectors: tuple[tuple[Radians, Radians, Radians], ...] = key(
+        (),
+        "of gnss.raw between two azimuths, clockwise, those above an elevation are left: [[20 deg, 160 deg, 50 deg], ...]",
+        examples=[[["20 deg", "160 deg", "50 deg"]]],
+    )
+
+
+class MultipathKeys(Section):
+    """Reflections: a Gauss-Markov process on the range of each satellite."""
+
+    sigma: Length = Field(ge=0, description="standard deviation at the zenith")
+    Tc: Seconds = Field(gt=0, description="correlation time")
+
+
+class ReceiverKeys(Section):
+    """Raw observations: pseudoranges and range rates, of which the receiver makes its fix by least squares."""
+
+    constellation: str = key("gps", "gps (24 nominal slots), or a RINEX navigation file")
+    start: Seconds = key(0.0, "start of the trajectory after the first ephemeris")
+    mask: Radians = key(0.1745329, "lowest elevation", examples=["10 deg"])
+    range_sigma: Length = key(
+        1.0, "standard deviation at the zenith; elsewhere by one over the sine of the elevation", gt=0
+    )
+    rate_sigma: Speed = key(0.05, "likewise, of the range rate (Doppler)", gt=0)
+    clock: Annotated[Clock, Made(ClockKeys)] = key(Clock(), "the receiver's clock")
+    multipath: Annotated[Multipath, Made(MultipathKeys)] | None = key(None, "reflections; none")
+
+    @field_validator("constellation")
+    @classmethod
+    def _known(cls, value: str) -> str:
+        if value not in CONSTELLATIONS and "." not in value:
+            raise InputError(f"no constellation '{value}'" + nearest(value, CONSTELLATIONS) + "; or a navigation file")
+        return value
 
 
 # -- the parts of a scenario ------------------------------------------------------------------------------------------------------
@@ -325,6 +371,9 @@ class Gnss(Section):
     )
     areas: tuple[Annotated[AreaOutage, Made(AreaKeys)], ...] = key((), "places without GNSS")
     random_outages: RandomOutages | None = key(None, "outages drawn anew in every realization")
+    raw: Annotated[Receiver, Made(ReceiverKeys)] | None = key(
+        None, "raw observations of an emulated flight; fixes are then their least squares, with its standard deviations"
+    )
 
     @field_validator("position_sigma", "velocity_sigma")
     @classmethod
@@ -332,6 +381,13 @@ class Gnss(Section):
         if value is not None and min(value) <= 0:  # the third may be NaN
             raise InputError(f"found {min(value)!r}, expected positive standard deviations")
         return value
+
+    @model_validator(mode="after")
+    def _raw(self) -> Gnss:
+        partial = next((k for k, o in enumerate(self.outages) if o.satellites is not None or not o.total), None)
+        if partial is not None and self.raw is None:
+            raise InputError(f"outage {partial + 1} says which satellites are left, expected the key 'raw', too")
+        return self
 
 
 class Initial(Section):
@@ -470,6 +526,14 @@ class Scenario(Section):
             raise InputError("found a recording together with a trajectory or a truth, expected one or the other")
         if self.recording is not None and self.aids:
             raise InputError("found aids together with a recording, which brings its own (keys aid_NAME)")
+        if self.gnss.raw is not None and self.recording is not None:
+            raise InputError("found gnss.raw together with a recording, expected an emulated flight")
+        if self.gnss.raw is not None and self.truth is not None:
+            for effect in self.truth.effects:
+                if effect.sensor == "gnss":
+                    raise InputError(
+                        f"the effect '{effect.id}' acts on fixes, which gnss.raw makes of raw observations"
+                    )
         there = {use.aid.name for use in self.aids}
         for effect in self.truth.effects if self.truth is not None else ():
             if effect.sensor in AID_KINDS and effect.sensor not in there:
@@ -488,6 +552,10 @@ class Scenario(Section):
 
     def check_design(self, name: str, design: Design) -> None:
         """Raise ``InputError`` where the scenario lacks what the design is made of."""
+        if design.options.states.clock is not None and self.gnss.raw is None:
+            raise InputError(
+                f"the design '{name}' has states of the receiver's clock, expected the key 'gnss.raw', too"
+            )
         sources = [s for s in design.sources().values() if isinstance(s, AxisSource)]
         if self.fits is None and any(s.fit for s in sources):
             raise InputError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
@@ -23,7 +24,12 @@ Array = NDArray[np.float64]
 #: Designs that work on a unit of which nothing is known.
 GRADES = ("UAV MEMS", "phone", "consumer MEMS", "industrial MEMS", "tactical grade", "navigation grade")
 #: Calibration states that are tried, and how uncertain the lever arm is where nobody states it, m.
-CALIBRATION = {"gyro_scale": 0.01, "accel_scale": 0.01, "gyro_misalignment": 0.0175, "accel_misalignment": 0.0175}
+CALIBRATION: Mapping[str, Any] = {
+    "gyro_scale": 0.01,
+    "accel_scale": 0.01,
+    "gyro_misalignment": 0.0175,
+    "accel_misalignment": 0.0175,
+}
 LEVER_ARM = 0.5
 #: Clock offsets that are looked at, and how far apart at first, s.
 OFFSETS, OFFSET_STEP = 0.4, 0.05

@@ -18,9 +18,10 @@ from insemu.filters.aid import SETTINGS, Aid
 from insemu.filters.aids.standstill import Standstill
 from insemu.filters.measurements import fill_fix
 from insemu.filters.rows import Moment, Rows
+from insemu.filters.satellites import fill_satellite
 from insemu.records import AidRecord
 
-__all__ = ["AIDS", "CODES", "Standstill", "aid_jacobian", "fill_rows"]
+__all__ = ["AIDS", "CODES", "SATELLITE", "Standstill", "aid_jacobian", "fill_rows"]
 
 Array = NDArray[np.float64]
 
@@ -30,13 +31,16 @@ AIDS: dict[str, Aid] = {
 }
 #: What stands for each in the compiled loop, from 1 on (0 is a fix).
 CODES = {name: k for k, name in enumerate(AIDS, start=1)}
+#: Code of raw observations of one satellite.
+SATELLITE = 1 + len(AIDS)
 
 
 def _choice() -> Callable[..., None]:
     """One branch for each kind, a fix for what has no code of its own: compiled code cannot look a function up in a table."""
-    known = {f"fill_{CODES[name]}": aid.fill for name, aid in AIDS.items()} | {"fill_fix": fill_fix}
+    kinds = {SATELLITE: fill_satellite, **{CODES[name]: aid.fill for name, aid in AIDS.items()}}
+    known = {f"fill_{code}": fill for code, fill in kinds.items()} | {"fill_fix": fill_fix}
     given = "(moment, z, settings, rows)"
-    branches = "".join(f"\n if kind == {code}: return fill_{code}{given}" for code in CODES.values())
+    branches = "".join(f"\n if kind == {code}: return fill_{code}{given}" for code in kinds)
     exec(f"def chosen(kind, moment, z, settings, rows):{branches}\n fill_fix{given}", known)
     return njit(nogil=True)(known["chosen"])
 
@@ -46,17 +50,17 @@ _fill = _choice()
 
 @njit(cache=True, nogil=True)
 def fill_rows(kind: int, moment: Moment, z: Array, settings: Array, rows: Rows) -> None:
-    """Rows of one fix or aid.
+    """Rows of one fix, satellite or aid.
 
     Parameters
     ----------
     kind : int
-        :data:`~insemu.filters.measurements.FIX`, or the code of an aid (:data:`CODES`).
+        :data:`~insemu.filters.measurements.FIX`, :data:`SATELLITE`, or the code of an aid (:data:`CODES`).
     moment : Moment
     z : (w,) array
         Measured values.
     settings : (SETTINGS,) array
-        Constants of the aid, for example a lever arm.
+        Constants of the aid, for example a lever arm, or the motion of the satellite.
     rows : Rows
         Overwritten.
     """
@@ -80,7 +84,9 @@ def aid_jacobian(aid: AidRecord, nav: Array) -> Array:
     settings, state = np.zeros(SETTINGS), np.zeros(13)
     settings[: len(aid.settings)], state[:10] = aid.settings, nav
     still, none, nobody = np.zeros(3), np.zeros(0), np.zeros(0, dtype=np.int64)
-    moment = Moment(state, state, 1.0, 0.0, still, still, still, 1, np.zeros(6), none, nobody, still, -1, -1, none)
+    moment = Moment(
+        state, state, 1.0, 0.0, still, still, still, 1, np.zeros(6), none, nobody, still, -1, -1, none, -1, none
+    )
     rows = Rows(np.empty(w), np.empty((w, 9)), np.empty((w, w)))
     fill_rows(CODES[aid.kind], moment, np.zeros(w), settings, rows)
     return rows.H
