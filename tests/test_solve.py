@@ -28,7 +28,7 @@ from insemu.records import GnssRecord, ImuRecord, Recording
 from insemu.report.solve import solve_answer
 from insemu.scenario import load
 from insemu.solve import Solution, candidates, cut_everywhere, solve, summary, way_of_solution, write
-from insemu.solve.against import compare_with
+from insemu.solve.against import _at_the_same, compare_with
 from insemu.solve.beliefs import adapted, clock_offset, likelihood_of
 from insemu.solve.outages import Outages, gaps_of
 from insemu.solve.outliers_of_fixes import outlying
@@ -207,6 +207,17 @@ def test_metres_are_those_of_the_filter_not_of_the_fixes() -> None:
         [2.0 * np.sqrt(2.0 * np.log(2.0)), 2.0 * np.sqrt(2.0 * np.log(20.0))], rel=0.03
     )
     assert o.nees(0) == pytest.approx(1.0, rel=0.03)
+
+
+def test_outages_are_compared_second_by_second_also_where_two_begin_within_one() -> None:
+    """Fixes that come a little more often than once a second begin two outages in some of them."""
+
+    def of(start: np.ndarray) -> Outages:
+        n = start.size
+        return Outages(start, np.array([10.0]), np.zeros((n, 1, 2)), np.zeros((n, 1, 2, 2)), np.zeros((n, 1, 2)))
+
+    one, two = _at_the_same(of(np.array([9.6, 10.6, 11.4, 12.2, 20.0])), of(np.array([10.1, 11.1, 12.1, 13.1])))
+    assert one.start.tolist() == [9.6, 10.6, 12.2] and two.start.tolist() == [10.1, 11.1, 12.1]
 
 
 def test_a_tunnel_is_a_gap_of_its_own_and_no_outage_begins_in_it(solution: Solution) -> None:

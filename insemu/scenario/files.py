@@ -229,7 +229,7 @@ def code_version() -> str:
     """Hash of the package's own source and data: results of other code are never taken for results of this one."""
     root = Path(insemu.__file__).parent
     digest_ = hashlib.sha256()
-    for file in sorted([*root.rglob("*.py"), *root.rglob("*.yaml")]):
+    for file in sorted(f for kind in ("py", "yaml", "rnx") for f in root.rglob(f"*.{kind}")):
         digest_.update(str(file.relative_to(root)).encode())
         digest_.update(file.read_bytes())
     return digest_.hexdigest()

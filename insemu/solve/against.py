@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -66,15 +67,19 @@ def compare_with(solution: Solution, scenario: str | Path, *, workers: int = 1) 
         imu = world.imu_for(known.imu, ekf)
         run = ekf.run(imu, experiment.believed(name, known.gnss), start, sigma, aids=known.aids)
         found[name] = cut_everywhere(ekf, run, imu, fixes, workers=workers)
-    same = set.intersection(*(set(_seconds(o)) for o in (solution.taken.outages, *found.values())))
-    if not same:
+    same = _at_the_same(solution.taken.outages, *found.values())
+    if not same[0].start.size:
         raise InputError("no outage of the solution lies in this scenario's time", where=str(scenario))
-    return Comparison(_at(solution.taken.outages, same), {name: _at(outages, same) for name, outages in found.items()})
+    return Comparison(same[0], dict(zip(found, same[1:], strict=True)))
 
 
-def _seconds(outages: Outages) -> list[int]:
-    return [round(float(t)) for t in outages.start]
-
-
-def _at(outages: Outages, seconds: set[int]) -> Outages:
-    return outages.rows(np.array([s in seconds for s in _seconds(outages)]))
+def _at_the_same(*each: Outages) -> list[Outages]:
+    """The outages of each that begin at seconds at which one of every other begins; of two within a second the first."""
+    seconds = [np.unique(np.round(o.start), return_index=True) for o in each]
+    common = reduce(np.intersect1d, [own for own, _ in seconds])
+    out = []
+    for o, (own, first) in zip(each, seconds, strict=True):
+        kept = np.zeros(o.start.size, dtype=bool)
+        kept[first[np.isin(own, common)]] = True
+        out.append(o.rows(kept))
+    return out
