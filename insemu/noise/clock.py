@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 class Clock:
     """Bias and drift of a clock, times the speed of light (Brown & Hwang 2012, section 9.3).
 
-    The levels are those of a small temperature-compensated quartz (``h_0`` = 2e-19 s, ``h_-2`` = 2e-20 /s there): ``white`` is ``c sqrt(h_0 / 2)``, ``walk``
-    is ``c pi sqrt(2 h_-2)``.
+    The levels are those of a small temperature-compensated quartz (``h_0`` = 2e-19 s, ``h_-2`` = 2e-20 /s there): ``white`` is
+    ``c sqrt(h_0 / 2)``, ``walk`` is ``c pi sqrt(2 h_-2)``.
 
     Parameters
     ----------
