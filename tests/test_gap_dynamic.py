@@ -907,11 +907,11 @@ def test_a_recording_that_cannot_be_started_says_why() -> None:
 
 
 @pytest.mark.slow(reason="a whole search of a drive or a log, whose parts have quick tests")
-def test_a_large_quadratic_accelerometer_is_unexplained() -> None:
+def test_a_large_quadratic_accelerometer_is_an_equation() -> None:
     # larger than any datasheet says: with a bounded prior it was called an asymmetry, alone and surely
     trial = Job("dynamic", (), 60.0, 5004, "quadratic_accelerometer", minutes=6.0).run()
     assert trial.track == "aeroplane"
-    assert trial.verdict == "unexplained"
+    assert [(s.effect, s.axes) for s in trial.steps] == [("expression", ("y = force_y ** 2",))]
 
 
 def with_thermal_scale(sensor: str, value: float) -> Finding:
