@@ -615,6 +615,14 @@ def test_held_out_fixes_are_outliers_or_none() -> None:
     after, gain = scored.after, scored.gain
     assert [[a for a, *_ in s.added] for s in scored.shrink] == [[], ["gnss_outliers"]]
     assert [s.index for s in scored.shrink] == pytest.approx([scored.before.value, after.value], rel=1e-12)
+    # where the search began in another scene, that is a step of its own
+    begun = scene.rebuilt(factors=np.full(6, 2.0))
+    lost = Finding("dropped_samples", "", "imu", (), (), 1.0, 9.0, ())
+    steps = held_out(scene, classified, cut, begun, [lost]).shrink
+    late = begun.loop.y.reshape(-1, 6)[begun.loop.use][begun.rows_t > cut]
+    assert [[a for a, *_ in s.added] for s in steps] == [[], ["dropped_samples"], ["gnss_outliers"]]
+    assert [s.index for s in steps[::2]] == pytest.approx([s.index for s in scored.shrink], rel=1e-12)
+    assert steps[1].index == pytest.approx(float(late @ late) / late.size, rel=1e-12)
     # another way: the filter without them, and each as it is predicted there
     share, sigma = classified.found[0].chosen.values[0].value, classified.found[0].chosen.values[1].value
     clean, s = classified.scene.prepared.result.fixes, scene.prepared.result.fixes

@@ -34,7 +34,7 @@ class FarOff:
 def far_off(measured: Measured) -> FarOff | None:
     """Which measurements are more likely far off than not, where a share of them is; None where none is.
 
-    Told beside every unit effect at its most likely size, robustly (Huber 1981), and next to what is slow.
+    Every unit effect has its most likely size meanwhile, robustly (Huber 1981), and so has what is slow.
     """
     _, columns = measured.unit_columns()
     # what shakes an aid is faster than motion and loud at times
