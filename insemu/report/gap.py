@@ -309,8 +309,8 @@ def _shrink(report: GapReport) -> list[Block]:
     if len(report.shrink) < 2:
         return []
     words = ["nominal model", *("; ".join(_placed_name(*a) for a in s.added) for s in report.shrink[1:])]
-    rows = [[str(k), w, f"{s.index:.3g}"] for k, (w, s) in enumerate(zip(words, report.shrink, strict=True))]
-    return [shrink_chart(report), Table(("step", "added", "gap index"), rows, "Steps of the chart", left=2)]
+    rows = [[str(k), f"{s.index:.3g}", w] for k, (w, s) in enumerate(zip(words, report.shrink, strict=True))]
+    return [shrink_chart(report), Table(("step", "gap index", "added"), rows, "Steps of the chart", left=3, wrap=True)]
 
 
 def _pictures(report: GapReport, after: bool) -> list[Block]:
