@@ -21,12 +21,14 @@ from numpy.typing import NDArray
 
 from insemu import earth
 from insemu.emulate import ideal_imu
+from insemu.errors import InputError
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.experiment import Experiment
 from insemu.evaluate.segments import beside, even_root, summed
 from insemu.evaluate.twin import LinearTwin
 from insemu.evaluate.world import stream
-from insemu.filters import InitialSigma, LooselyCoupledEKF
+from insemu.filters import FilterResult, InitialSigma, LooselyCoupledEKF
+from insemu.lanes import LANES
 from insemu.records import GnssRecord, ImuRecord
 from insemu.strapdown import NavState, trajectory_of
 
@@ -34,8 +36,8 @@ Array = NDArray[np.float64]
 
 #: Longest step, s. On Table III errors at outage ends correlate with those of flights to 0.9997 or better at 0.2 s, to 0.99 at 0.5 s (8 flights).
 STEP = 0.2
-#: Runs whose errors are drawn at a time.
-BATCH = 3
+#: Runs whose errors are drawn at a time: as many as fly at a time.
+BATCH = LANES
 
 
 @dataclass(frozen=True)
@@ -95,8 +97,8 @@ class CoarseTwin:
         assert recording.gnss is not None
         last = int(self._linear.ends[-1])
         sums = errors[1 : last + 1].reshape(-1, self.rows, 6).sum(axis=1)
-        start = self.world.start(index, recording.imu)
-        return self._flown(sums, recording.gnss, *start, list(self._filters))
+        drawn = Drawn(sums, recording.gnss, self.world.start(index, recording.imu))
+        return {name: found[0] for name, found in self.flown([drawn], list(self._filters)).items()}
 
     def draws(self, first: int, last: int) -> list[Drawn]:
         """The errors of some runs, each by its own stream of the scenario's seed.
@@ -119,10 +121,25 @@ class CoarseTwin:
         Parameters
         ----------
         draws : sequence of Drawn
+            With the same standard deviations at the start.
         designs : sequence of str
+
+        Raises
+        ------
+        InputError
+            A filter that diverges.
         """
-        found = [self._flown(one.sums, one.fixes, *one.start, designs) for one in draws]
-        return {name: np.stack([f[name] for f in found]) for name in designs}
+        imus, starts, sigma = (
+            [self._sensed(one.sums) for one in draws],
+            [one.start[0] for one in draws],
+            draws[0].start[1],
+        )
+        out = {}
+        for name in designs:
+            fixes = [self._linear.experiment.believed(name, one.fixes) for one in draws]
+            runs = self._filters[name].run_many(imus, fixes, starts, sigma)
+            out[name] = np.stack([self._errors(name, run) for run in runs])
+        return out
 
     def draw(self, runs: int, designs: Sequence[str], first: int = 0) -> dict[str, Array]:
         """Navigation errors (runs, outages, 9) at the ends of the outages, each run with draws of its own.
@@ -194,18 +211,17 @@ class CoarseTwin:
             out -= self.rows * y[:, None, m:] / parts.length
         return out / self.world.rate_hz
 
-    def _flown(
-        self, sums: Array, fixes: GnssRecord, start: NavState, sigma: InitialSigma, designs: Sequence[str]
-    ) -> dict[str, Array]:
-        """Errors of some designs with given sums of the axes' errors (steps, 6)."""
+    def _sensed(self, sums: Array) -> ImuRecord:
+        """The signals with given sums of the axes' errors (steps, 6)."""
         errors = np.vstack([sums[:1], sums])
-        imu: ImuRecord = replace(self._imu, gyro=self._imu.gyro + errors[:, :3], accel=self._imu.accel + errors[:, 3:])
-        out = {}
-        for name in designs:
-            run = self._filters[name].run(imu, self._linear.experiment.believed(name, fixes), start, sigma)
-            at = np.searchsorted(run.t, self._truth.t - 1e-9)
-            out[name] = navigation_error(trajectory_of(self._truth.t, run.nav[at], name), self._truth)
-        return out
+        return replace(self._imu, gyro=self._imu.gyro + errors[:, :3], accel=self._imu.accel + errors[:, 3:])
+
+    def _errors(self, name: str, run: FilterResult | InputError) -> Array:
+        """Navigation errors (outages, 9) of a flight."""
+        if isinstance(run, InputError):
+            raise run
+        at = np.searchsorted(run.t, self._truth.t - 1e-9)
+        return navigation_error(trajectory_of(self._truth.t, run.nav[at], name), self._truth)
 
 
 def _slower(experiment: Experiment, design: str, rate_hz: float) -> LooselyCoupledEKF:
