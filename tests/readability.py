@@ -145,13 +145,19 @@ def measure(page: str) -> Measure:
 
 
 @cache
-def texts() -> dict[str, str]:
-    """README, the pages of docs and, as one text, the messages of bad input."""
+def pages() -> dict[str, str]:
+    """README and the pages of docs."""
     docs = ROOT / "docs"
-    pages = [
+    found = [
         p for p in sorted(docs.rglob("*.md")) if p.name != "bibliography.md" and docs / "reference" not in p.parents
     ]
-    out = {p.relative_to(ROOT).as_posix(): p.read_text(encoding="utf-8") for p in [ROOT / "README.md", *pages]}
+    return {p.relative_to(ROOT).as_posix(): p.read_text(encoding="utf-8") for p in [ROOT / "README.md", *found]}
+
+
+@cache
+def texts() -> dict[str, str]:
+    """The pages and, as one text, the messages of bad input."""
+    out, docs = dict(pages()), ROOT / "docs"
     sys.path.insert(0, str(docs))
     made = runpy.run_path(str(docs / "reference_pages.py"))["messages"]()
     said = [re.sub(r"\.\.\.", " CODE ", line[2:].strip("` ")) for line in made if line.startswith("- ")]
