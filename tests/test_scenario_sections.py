@@ -162,7 +162,7 @@ LIMITS: list[tuple[str, Any, Any, str]] = [
      "gnss.random_outages.per_hour: found -1, input should be greater than or equal to 0"),
     ("gnss.random_outages", {"per_hour": 0, "mean": 1e-9}, {"per_hour": 0, "mean": 0},
      "gnss.random_outages.mean: found 0.0, input should be greater than 0"),
-    ("gnss.outages", [{"start": 0, "duration": 0}], [{"start": -1, "duration": 0}],
+    ("gnss.outages", [{"start": 0, "duration": "1 us"}], [{"start": -1, "duration": 1}],
      "gnss.outages.0.start: found -1.0, input should be greater than or equal to 0"),
     ("gnss.areas", [{"latitude": "90 deg", "longitude": 0, "radius": 0}], [{"latitude": "91 deg", "longitude": 0, "radius": 0}],
      f"gnss.areas.0.latitude: found {91 * np.pi / 180!r}, input should be less than or equal to 1.5707963267948966"),

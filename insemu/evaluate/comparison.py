@@ -178,16 +178,12 @@ def analysable(experiment: Experiment, *, removes_means: bool = False) -> tuple[
     return able, "; ".join(notes)
 
 
-def analyse_designs(
-    experiment: Experiment, states: Sequence[str] = ("pos_n", "pos_e"), *, workers: int = 1
-) -> dict[str, CovarianceAnalysis]:
+def analyse_designs(experiment: Experiment, *, workers: int = 1) -> dict[str, CovarianceAnalysis]:
     """Covariance analysis of every design that allows it, with an error budget at the end of every outage.
 
     Parameters
     ----------
     experiment : Experiment
-    states : sequence of str
-        Navigation errors in the budget.
     workers : int
         Threads: the compiled loops free the GIL.
 
@@ -218,7 +214,7 @@ def analyse_designs(
             true_gnss_sigma=(s.gnss.position_sigma, s.gnss.velocity_sigma or (0.0, 0.0, 0.0)),
             at=tuple(world.output_times),
             budget_at=ends,
-            budget_states=states,
+            budget_states=("pos_n", "pos_e"),
         )
 
     with ThreadPoolExecutor(max_workers=max(1, workers)) as pool:

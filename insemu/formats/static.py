@@ -415,12 +415,12 @@ def _times(stamps: NDArray[Any], name: str, unit: str, path: Path) -> _Stamps:
     return start, continuous(t, scale)[0]
 
 
-def _is_time(x: Array, *, even: bool = True) -> bool:
+def _is_time(x: Array) -> bool:
     """Whether a column rises from row to row as times do: by nearly the same step. No sensor's noise does that."""
     step = np.diff(x)
     if step.size < 2 or not (step > 0).all():
         return False
-    return not even or bool(np.quantile(np.abs(step - np.median(step)), 0.9) <= 0.5 * np.median(step))
+    return bool(np.quantile(np.abs(step - np.median(step)), 0.9) <= 0.5 * np.median(step))
 
 
 def _sampled(t: Array, data: list[NDArray[Any]], source: str) -> tuple[Array, list[NDArray[Any]], tuple[str, ...]]:

@@ -140,11 +140,6 @@ def validated(section: type[S], document: yamlfile.Document) -> S:
         raise _named(error, section, document) from None
 
 
-def variant_names(scenario: Scenario) -> list[str]:
-    """Names of the scenario's variants, in the order of the file."""
-    return list(scenario.variants)
-
-
 def _keys_at(place: Place, section: Any) -> list[str]:
     """Valid keys of the section at a place, for the hint."""
     for part in place:
