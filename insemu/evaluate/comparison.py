@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from insemu.covariates import needed
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError, found_at, nearest
 from insemu.evaluate.covariance import CovarianceAnalysis, analyse
 from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.errors import PairedComparison, paired_ratio
@@ -83,10 +83,8 @@ def with_designs(scenario: Scenario, designs: Sequence[str]) -> Scenario:
                 f"no design '{name}'" + nearest(name, [*scenario.designs, *shipped_designs()]), where="--designs"
             )
         chosen[name] = scenario.designs.get(name) or Design.model_validate(name)
-        try:
+        with found_at("--designs"):
             scenario.check_design(name, chosen[name])
-        except InputError as error:
-            raise InputError(error.message, where="--designs") from None
     return scenario.model_copy(update={"designs": chosen})
 
 

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError, found_at, nearest
 from insemu.formats.clocks import read_stamps
 from insemu.formats.columns import guess_map, split_header
 from insemu.formats.npz import load_npy, load_npz, numbers, scalar, texts
@@ -438,10 +438,8 @@ def _sampled(t: Array, data: list[NDArray[Any]], source: str) -> tuple[Array, li
     same = None
     if (step == 0.0).any():
         same = np.concatenate([[False], np.all([x[1:] == x[:-1] for x in data], axis=0)])
-    try:
+    with found_at(source):
         found = sample_times(t, same)
-    except InputError as error:
-        raise InputError(error.message, where=source) from None
     if not np.array_equal(found.rows, np.arange(t.size)):
         data = [x[found.rows] for x in data]
     return found.t, data, found.said
