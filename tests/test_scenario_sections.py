@@ -21,7 +21,7 @@ from insemu.records import AXES
 from insemu.scenario import Design, Scenario, digest, load, schema, state_names, structures, validated, with_changes
 from insemu.scenario.fields import Section, number
 from insemu.scenario.files import code_version
-from insemu.scenario.sensor_keys import beside, with_sensors
+from insemu.scenario.sensor_keys import files_from, with_sensors
 from insemu.scenario.starting import Wish, first_scenario
 
 DEG = np.pi / 180.0
@@ -470,7 +470,7 @@ def test_files_of_cards_are_named_from_the_folder(tmp_path: Path) -> None:
     (tmp_path / "my.yaml").write_text("x")
     (tmp_path / "plain").write_text("x")
     given = {"truth": {"sensor": "my.yaml"}, "designs": [{"sensor": "other.yaml"}, {"sensor": "plain"}, {"sensor": 3}]}
-    assert beside(given, tmp_path) == {
+    assert files_from(given, tmp_path) == {
         "truth": {"sensor": str(tmp_path / "my.yaml")},
         "designs": [{"sensor": "other.yaml"}, {"sensor": "plain"}, {"sensor": 3}],
     }

@@ -112,7 +112,7 @@ class CovarianceAnalysis:
         return np.asarray(np.sqrt(np.einsum("tii->ti", self.believed)))
 
 
-def beside(belief: Augmentation, truth: Augmentation) -> Augmentation:
+def with_true_states(belief: Augmentation, truth: Augmentation) -> Augmentation:
     """The filter's estimates (driven by nothing) together with the true states (seen with the other sign).
 
     Calibration and installation states stand among the estimates only: the truth's are zero, for its sensors have no such errors.
@@ -201,7 +201,7 @@ def analyse(
     rows = np.searchsorted(t, times - 1e-9).clip(0, t.size - 1).astype(np.int64)
     ekf, run = on_ideal_data(ekf, record, nav, gnss, initial, believed_sigma, times)
     true_aug = augment(truth, ekf.dt)
-    joint = beside(ekf.augmentation, true_aug)
+    joint = with_true_states(ekf.augmentation, true_aug)
     M, K, noise = updates(ekf, Gains.of(run), record, nav, joint, gnss, true_gnss_sigma)
     R = K @ noise @ K.transpose(0, 2, 1)
     system = JointSystem(joint, record, error_maps(record, nav, ekf.gravity), run.fixes.epoch, M, R)

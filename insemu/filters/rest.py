@@ -125,7 +125,7 @@ def quiet_stretches(
             )
             if stretch is not None:
                 found.append(stretch)
-    return _told(found, gnss, bias)
+    return _rests_by_rate(found, gnss, bias)
 
 
 def _fast(t: Array, gnss: GnssRecord | None, speed: float) -> NDArray[np.bool_]:
@@ -163,7 +163,7 @@ def _judged(means: Array, white: Array, start: float, end: float) -> Quiet | Non
     return Quiet(start, end, rate, down, scatter, abs(float(rate @ down)) <= STILL_RATE)
 
 
-def _told(found: Sequence[Quiet], gnss: GnssRecord | None, bias: tuple[Array, Array] | None) -> list[Quiet]:
+def _rests_by_rate(found: Sequence[Quiet], gnss: GnssRecord | None, bias: tuple[Array, Array] | None) -> list[Quiet]:
     """Quiet stretches, those called rests whose rate about the vertical is a known bias, or that of another stop."""
     out = []
     for q in found:
