@@ -59,7 +59,7 @@ def only_writer(folder: Path, *, shared: bool = False) -> Iterator[None]:
         # a process that was killed leaves those that it had started, which end by themselves and hold the lock so long
         if not _ended(writer) or time.monotonic() > until:
             raise InputError(
-                f"is being written by {_named(writer)}; wait for it, or choose another folder (--output)",
+                f"is being written by {_writer_text(writer)}; wait for it, or choose another folder (--output)",
                 where=str(folder),
             )
         time.sleep(0.05)
