@@ -1,4 +1,4 @@
-"""Does a filter know its own error? NEES, NIS, whiteness, coverage and credibility, each with bounds and a verdict in words.
+"""Does a filter know its own error? NEES, NIS, whiteness and credibility, each with bounds and a verdict in words.
 
 Every test states its confidence. Where several are made together (epochs, states, components) the bounds are those of the family:
 Bonferroni's ``1 - (1 - confidence) / count`` each, so that a consistent filter passes all of them with the stated probability.
