@@ -315,7 +315,7 @@ def twin(flights: int) -> None:
     for name in experiment.beliefs:
         full = results.planimetric_ends(name)
         for k in range(full.shape[1]):
-            ours, told = full[:, k], preview.told(name, k)
+            ours, told = full[:, k], preview.figures_of(name, k)
             found = cells_of[name][k]
             i = int(np.argmin(np.abs(exact[name].t - experiment.world.imu.t[linear.ends[k]])))
             # of flights alone for all that time: by the spread of all flights, and by that which the cheap runs tell

@@ -210,7 +210,7 @@ def delayed_approximation(x: ArrayLike, levels: int, delay: int, *, wavelet: str
     return np.asarray(oaconvolve(padded, taps[::-1], mode="valid")) + offset * float(taps.sum())
 
 
-def outstanding(x: Array, levels: int, *, noise: Array | None = None, wavelet: str = "db4") -> Array:
+def outstanding(x: Array, levels: int, *, noise: Array | None = None) -> Array:
     """Return what stands out of white noise at any time and octave, about the median: all that is left of an axis at rest is a constant.
 
     Every coefficient, those of the approximation too, is kept or killed at ``sqrt(2 ln n)`` deviations of the noise (Donoho and Johnstone
@@ -224,17 +224,15 @@ def outstanding(x: Array, levels: int, *, noise: Array | None = None, wavelet: s
         Octaves, 1 and more.
     noise : (k,) array, optional
         Standard deviations of the white noise of each signal.
-    wavelet : str
-        A discrete wavelet of PyWavelets.
     """
     out, most = np.empty_like(x), np.full(x.shape[1], np.inf) if noise is None else noise
     for k in range(x.shape[1]):
         offset = float(np.median(x[:, k]))
         # periodic, so that the coefficients of the ends scatter as all others do
-        all_of_it = pywt.wavedec(x[:, k] - offset, wavelet, mode="periodization", level=levels)
+        all_of_it = pywt.wavedec(x[:, k] - offset, "db4", mode="periodization", level=levels)
         least = min(_deviation(all_of_it[-1]), float(most[k])) * float(np.sqrt(2.0 * np.log(x.shape[0])))
         kept = [pywt.threshold(c, least, mode="hard") for c in all_of_it]
-        out[:, k] = pywt.waverec(kept, wavelet, mode="periodization")[: x.shape[0]] + offset
+        out[:, k] = pywt.waverec(kept, "db4", mode="periodization")[: x.shape[0]] + offset
     return out
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 #: How NumPy shows its scalars, which means nothing to a reader.
 _NUMPY = re.compile(r"np\.(?:float|int|uint|str|bool)\w*\(([^()]*)\)")
@@ -27,6 +28,15 @@ class InputError(ValueError):
         self.where = where
         self.message = message = _NUMPY.sub(r"\1", message)
         super().__init__(f"{where}: {message}" if where else message)
+
+
+@contextmanager
+def found_at(where: str) -> Iterator[None]:
+    """Errors of the input inside say this place: a file, line or key."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(error.message, where=where) from None
 
 
 #: Characters of a value in a message, and members of a list or mapping that are spelt.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -75,3 +77,20 @@ def test_an_outage_that_contradicts_a_design_is_named_though_all_outages_togethe
 
 def test_without_outages_there_is_no_answer() -> None:
     assert answer(replace(results(), outages=[])) is None
+
+
+@pytest.mark.parametrize(
+    ("gnss", "words"),
+    [
+        ({}, "without GNSS"),
+        ({"outages": [{"satellites": 0}, {"satellites": None}]}, "without GNSS"),
+        ({"outages": [{"satellites": 3}, {"satellites": 3}]}, "with at most 3 satellites only"),
+        ({"outages": [{"satellites": 2}, {"satellites": None}]}, "without GNSS or with at most 2 satellites only"),
+        ({"outages": [{"satellites": 2}], "areas": [{}]}, "without GNSS or with at most 2 satellites only"),
+        ({"outages": [{"elevation": math.radians(40.0)}]}, "with satellites above 40 deg only"),
+        ({"outages": [{"sectors": [[0.0, 1.0, 0.5]]}]}, "with satellites outside 1 shaded sector only"),
+    ],
+)
+def test_the_answer_says_what_outages_leave(gnss: dict[str, Any], words: str) -> None:
+    said = answer(replace(results(), manifest={"scenario": {"gnss": gnss}}))
+    assert said is not None and f" s {words} (" in said.sentence

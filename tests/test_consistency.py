@@ -14,7 +14,7 @@ from insemu.filters import FilterOptions, FixTable, LooselyCoupledEKF, run_filte
 from insemu.noise import GM, RC, WN
 from tests import filter_cases as cases
 from tests.budget import binomial, binomial_power, statistical
-from tests.consistency_of_runs import consistency_report, pooled_coverage, whiteness_test
+from tests.consistency_of_runs import consistency_report, coverage_test, pooled_coverage, whiteness_test
 
 SHAPE = (60, 12)
 
@@ -108,7 +108,7 @@ def test_a_coverage_within_a_hundredth_moves_no_decision():
         e = np.full(40_000, 1.0)
         e[: round(e.size * (1.0 - share))] = 3.0
         e = np.random.default_rng(1).permutation(e).reshape(200, 200, 1)
-        verdicts += c.coverage_test(e, np.ones_like(e), names=("a",), factor=2.0)
+        verdicts += coverage_test(e, np.ones_like(e), names=("a",), factor=2.0)
     small, large = verdicts
     assert max(v.low for v in verdicts) > 0.946 and small.value == pytest.approx(0.946)
     assert small.passed and "certain" in str(small) and "(1 %)" in str(small)
@@ -128,12 +128,12 @@ def test_coverage_is_judged_by_runs():
     e = rng.standard_normal((200, 50, 2)) * 0.5 + rng.standard_normal((200, 1, 2)) * np.sqrt(0.75)  # correlated epochs
     sigma = np.ones_like(e)
     sigma[..., 1] = 0.5
-    good, bad = c.coverage_test(e, sigma, names=("a", "b"))
+    good, bad = coverage_test(e, sigma, names=("a", "b"))
     assert good.passed and bad.word == "overconfident"
-    wide = c.coverage_test(e[..., :1], 3 * sigma[..., :1], names=("a",), factor=1.0)[0]
+    wide = coverage_test(e[..., :1], 3 * sigma[..., :1], names=("a",), factor=1.0)[0]
     assert wide.word == "pessimistic"
     with pytest.raises(InputError, match=r"expected \(runs, epochs, 1\)"):
-        c.coverage_test(e, sigma, names=("a",))
+        coverage_test(e, sigma, names=("a",))
 
 
 def test_pooled_coverage_has_an_interval():
@@ -207,7 +207,7 @@ def test_bounds_are_quantiles_of_a_family():
     for v, n in zip(c.whiteness_verdicts(np.zeros(4), counts), counts, strict=True):
         assert (-v.low, v.high) == pytest.approx(stats.norm.isf([0.005 / 4] * 2) / np.sqrt(n), rel=1e-9)
     e = np.random.default_rng(7).standard_normal((200, 40, 3))
-    for v in c.coverage_test(e, np.ones_like(e), names=("a", "b", "c"), factor=2.0):
+    for v in coverage_test(e, np.ones_like(e), names=("a", "b", "c"), factor=2.0):
         inside = stats.binom(v.count, stats.chi2.cdf(4.0, 1))
         assert (v.low, v.high) == pytest.approx(inside.ppf([0.005 / 3, 1.0 - 0.005 / 3]) / v.count, rel=1e-9)
         assert v.count > 4000  # the epochs do not depend on each other

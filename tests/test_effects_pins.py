@@ -210,7 +210,7 @@ CASES: dict[str, Callable[[], Any]] = {
         for effect in EFFECTS.values()
         for sensor in effect.sensors
     },
-    "motion": lambda: [motion(), motion().warmth, motion().acceleration, geometry(), geometry().moved],
+    "motion": lambda: [motion(), motion().warmth, motion().acceleration, geometry(), geometry().change_per_second],
     "lots": lambda: [
         (lot.sample, lot.slow, lot.span, lot) for lot in (RestLot.drawn(n, DT, 1e-3, 1, RNG(n)) for n in (1000, 90_000))
     ],

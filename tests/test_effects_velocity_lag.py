@@ -115,10 +115,10 @@ def test_an_antenna_that_swings_between_fixes_is_ahead_by_its_own_acceleration()
     llh = np.tile([np.pi / 2.0 - 1e-3, 0.0, 0.0], (t.size, 1))
     motion = Motion(t, C, rates, zero, zero, zero, llh, None, np.arange(2))
     at = t[300:2700:100]
-    moved = FixGeometry.of(motion, at, [2.0, 0.0, 0.0]).moved
+    moved = FixGeometry.of(motion, at, [2.0, 0.0, 0.0]).change_per_second
     angle, turn, spin = (amplitude * f for f in (np.sin(w * at), w * np.cos(w * at), -(w**2) * np.sin(w * at)))
     along, across = np.column_stack([np.cos(angle), np.sin(angle)]), np.column_stack([-np.sin(angle), np.cos(angle)])
     swing = 2.0 * (spin[:, None] * across - turn[:, None] ** 2 * along)
     # gravity of a motion without forces is what is left of the acceleration
-    fall = FixGeometry.of(motion, at, [0.0, 0.0, 0.0]).moved[:, 3:5]
+    fall = FixGeometry.of(motion, at, [0.0, 0.0, 0.0]).change_per_second[:, 3:5]
     np.testing.assert_allclose(moved[:, 3:5] - fall, swing, atol=0.1 * np.abs(swing).max())

@@ -86,6 +86,11 @@ def test_digest_is_of_what_matters(tmp_path: Path) -> None:
         ("N: 85 ug", "N: -85 ug", r"s\.yaml:5: truth\.accel: WN: N \(white-noise density\) is -0\.0008.*not negative"),
         ("N=0.032 deg", "N=0.032 m", r"s\.yaml:4: truth\.gyro: WN\.N: the unit 'm/s/sqrt\(Hz\)'"),
         ("duration: 60 s", "duration: -60 s", r"s\.yaml:8: gnss\.outages\.0\.duration: found -60\.0"),
+        (
+            "duration: 60 s",
+            "duration: 0 s",
+            r"s\.yaml:8: gnss\.outages\.0\.duration: found 0\.0, input should be greater than 0",
+        ),
         ("fit: WN()", "fit: WNN()", r"s\.yaml:11: designs\.one\.gyro\.fit: unknown process 'WNN'"),
         ("fits: {simulate: 4 h}\n", "", r"the design 'one' is fitted, but there is no section 'fits'"),
         ("builtin: helicopter_mapping, ", "", r"s\.yaml:2: trajectory: one source of motion is needed"),

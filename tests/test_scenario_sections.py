@@ -21,7 +21,7 @@ from insemu.records import AXES
 from insemu.scenario import Design, Scenario, digest, load, schema, state_names, structures, validated, with_changes
 from insemu.scenario.fields import Section, number
 from insemu.scenario.files import code_version
-from insemu.scenario.sensor_keys import beside, with_sensors
+from insemu.scenario.sensor_keys import files_from, with_sensors
 from insemu.scenario.starting import Wish, first_scenario
 
 DEG = np.pi / 180.0
@@ -162,7 +162,7 @@ LIMITS: list[tuple[str, Any, Any, str]] = [
      "gnss.random_outages.per_hour: found -1, input should be greater than or equal to 0"),
     ("gnss.random_outages", {"per_hour": 0, "mean": 1e-9}, {"per_hour": 0, "mean": 0},
      "gnss.random_outages.mean: found 0.0, input should be greater than 0"),
-    ("gnss.outages", [{"start": 0, "duration": 0}], [{"start": -1, "duration": 0}],
+    ("gnss.outages", [{"start": 0, "duration": "1 us"}], [{"start": -1, "duration": 1}],
      "gnss.outages.0.start: found -1.0, input should be greater than or equal to 0"),
     ("gnss.areas", [{"latitude": "90 deg", "longitude": 0, "radius": 0}], [{"latitude": "91 deg", "longitude": 0, "radius": 0}],
      f"gnss.areas.0.latitude: found {91 * np.pi / 180!r}, input should be less than or equal to 1.5707963267948966"),
@@ -470,7 +470,7 @@ def test_files_of_cards_are_named_from_the_folder(tmp_path: Path) -> None:
     (tmp_path / "my.yaml").write_text("x")
     (tmp_path / "plain").write_text("x")
     given = {"truth": {"sensor": "my.yaml"}, "designs": [{"sensor": "other.yaml"}, {"sensor": "plain"}, {"sensor": 3}]}
-    assert beside(given, tmp_path) == {
+    assert files_from(given, tmp_path) == {
         "truth": {"sensor": str(tmp_path / "my.yaml")},
         "designs": [{"sensor": "other.yaml"}, {"sensor": "plain"}, {"sensor": 3}],
     }

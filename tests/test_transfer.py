@@ -62,7 +62,7 @@ def test_known_factors_come_back_inside_their_intervals(levels: Levels) -> None:
     found = {f.name: f for f in estimated(levels).factors}
     for sensor in ("gyro", "accel"):
         factor = found[f"{sensor} white"]
-        assert factor.told
+        assert factor.decisive
         assert factor.low < FACTOR < factor.high
         assert factor.low > 4.0
     for name in ("fixes position", "fixes velocity"):

@@ -85,7 +85,7 @@ def test_the_coarse_twin_errs_as_the_filter_does_where_the_linear_one_does_not(t
     assert coarse.rows == 10  # 0.2 s at 50 Hz
     preview = previewed(linear, 400)
     assert list(preview.beyond) == ["white"]  # and not "full", which knows its errors
-    told = {name: preview.told(name) for name in linear.designs}
+    told = {name: preview.figures_of(name) for name in linear.designs}
     assert {name: (one.by, one.runs) for name, one in told.items()} == {
         "white": ("coarse", 33),
         "full": ("linear", 400),
@@ -93,7 +93,7 @@ def test_the_coarse_twin_errs_as_the_filter_does_where_the_linear_one_does_not(t
     apart = coarse.draw(400, ["white"], first=33)["white"]  # runs that the preview has not seen
     spread = planimetric(apart).std(axis=0)
     for k in range(len(linear.ends)):
-        one = preview.told("white", k)
+        one = preview.figures_of("white", k)
         error = np.hypot(spread[k] / 20.0, one.mean.width / 3.92)
         assert abs(one.mean.value - planimetric(apart[:, k]).mean()) < 4.4 * error
         assert one.rms == pytest.approx(

@@ -66,7 +66,7 @@ def command(
         table.add_column(heading, justify="right" if heading == "states" else "left", overflow="fold")
     for key, design in chosen.items():
         found = states[key]
-        table.add_row(key, "-" if found is None else str(len(found)), *_structure(design, given), _besides(design))
+        table.add_row(key, "-" if found is None else str(len(found)), *_structure(design, given), _options_text(design))
     console.print(table)
     for key, text in about.items():
         console.print(f"{key}: {text}.", soft_wrap=True, style="dim", highlight=False)
@@ -100,7 +100,7 @@ def _symbol(process: object) -> str:
     return type(process).__name__
 
 
-def _besides(design: Design) -> str:
+def _options_text(design: Design) -> str:
     options = design.options
     parts = [f"filter {design.filter}"] if design.filter else []
     sources = {getattr(s, "method", None) for s in design.sources().values() if getattr(s, "fit", None)}

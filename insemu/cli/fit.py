@@ -12,7 +12,7 @@ from insemu import units
 from insemu.cli.logs import LEAST, LogArguments, ScaleArguments, column_names, hertz
 from insemu.cli.options import DRAWS, Arguments, argument, option
 from insemu.cli.printing import counting, print_boxed, print_json, print_table, print_text
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError, found_at, nearest
 
 if TYPE_CHECKING:
     from insemu.fit import Estimator, FitResult
@@ -138,7 +138,7 @@ def fit_streamed(args: FitArguments, estimator: Estimator) -> dict[str, FitResul
     children = estimator.generators(len(log.names))
     for k, (column, unit) in enumerate(zip(log.names, log.units, strict=True)):
         name = formats.AXIS_OF_COLUMN.get(column, column)
-        try:
+        with found_at(f"{file}: {name}"):
             asked = NoiseModel.parse(args.model, unit)
             given = estimator.options(unit, children[k])
             chunks = log.chunks(k, first=first)
@@ -153,8 +153,6 @@ def fit_streamed(args: FitArguments, estimator: Estimator) -> dict[str, FitResul
             except InputError:  # samples are missing
                 return None
             out[name] = fit(curve, asked, unit=unit, name=name, **given)
-        except InputError as error:
-            raise InputError(error.message, where=f"{file}: {name}") from None
     return out
 
 
@@ -194,10 +192,8 @@ def parsed(model: str, series: list[Series]) -> dict[str, NoiseModel]:
     """The structure by unit of the axes; what is wrong with it is no axis's fault."""
     from insemu.noise import NoiseModel
 
-    try:
+    with found_at("--model"):
         return {s.unit: NoiseModel.parse(model, s.unit) for s in series}
-    except InputError as error:
-        raise InputError(error.message, where="--model") from None
 
 
 def fit_pooled(series: list[Series], models: Mapping[str, NoiseModel], estimator: Estimator) -> dict[str, FitResult]:

@@ -48,13 +48,11 @@ def followed(text: str, unit: str, covariate: str) -> NoiseModel:
     """The structure; where no process says what it follows, all noise follows the covariate."""
     from dataclasses import replace
 
-    from insemu.errors import InputError
+    from insemu.errors import found_at
     from insemu.noise import Follows, NoiseModel
 
-    try:
+    with found_at("--model"):
         asked = NoiseModel.parse(text, unit)
-    except InputError as error:
-        raise InputError(error.message, where="--model") from None
     if covariate and all(p.follows is None for p in asked):
         asked = NoiseModel(tuple(p if p.single_draw else replace(p, follows=Follows(covariate)) for p in asked))
     return asked

@@ -40,7 +40,7 @@ def preview(experiment: Experiment, realizations: int, folder: Path, console: Co
     rows: list[dict[str, Any]] = []
     for name in twin.designs:
         for k, (start, duration) in enumerate(experiment.world.outage_windows):
-            told = found.told(name, k)
+            told = found.figures_of(name, k)
             rows.append(
                 {
                     "design": name,

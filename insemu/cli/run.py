@@ -411,8 +411,10 @@ def show(console: Console, main: Results, variants: dict[str, Results]) -> None:
         ]  # the page has room for them
         kept = [[row[k] for k in shown] for row in body]
         print_table(console, f"Variants. {report.variant_caption(main)}", [header[k] for k in shown], kept, groups=True)
-    for label, results in report.shown_beside(main, variants):
+    for label, results in report.with_published(main, variants):
         for figure in results.published:
-            print_table(console, f"{label}: {report.FIGURES[figure]}, m", *report.beside(results, figure), groups=True)
+            print_table(
+                console, f"{label}: {report.FIGURES[figure]}, m", *report.published_table(results, figure), groups=True
+            )
         print_items(console, report.rank_lines(results))
     print_items(console, report.pooled_rank_line(main, variants))

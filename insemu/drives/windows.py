@@ -148,20 +148,18 @@ class Signals:
         turn = (mean[:, 0] * slope[:, 1] - mean[:, 1] * slope[:, 0]) / square
         return level, np.where(level >= STANDING, turn, 0.0), -mean[:, 2]
 
-    def pieces(self, length: int, step: int, start: float = -np.inf, end: float = np.inf) -> NDArray[np.intp]:
-        """First rows of pieces without a gap, inside the fixes and a span.
+    def pieces(self, length: int, step: int) -> NDArray[np.intp]:
+        """First rows of pieces without a gap, inside the fixes.
 
         Parameters
         ----------
         length, step : int
             Rows of a piece, and from the start of one to that of the next.
-        start, end : float
-            s.
         """
         first = np.arange(0, self.t.size - length + 1, step)
         begin, stop = self.t[first], self.t[first + length - 1]
         whole = np.abs((stop - begin) / ((length - 1) * self.dt) - 1.0) < 0.02
-        low, high = max(start, float(self.fixes.t[0])), min(end, float(self.fixes.t[-1]))
+        low, high = float(self.fixes.t[0]), float(self.fixes.t[-1])
         return first[whole & (begin >= low - 0.5 * self.dt) & (stop <= high + 0.5 * self.dt)]
 
 
@@ -187,9 +185,7 @@ def signals_of(recording: Recording) -> Signals:
     return Signals(imu.t, x, imu.dt, fixes, C, tuple(said))
 
 
-def windows_of(
-    recording: Recording, *, top_hz: float | None = None, span: tuple[float, float] | None = None
-) -> Windows:
+def windows_of(recording: Recording, *, top_hz: float | None = None) -> Windows:
     """Cut a drive into windows.
 
     Parameters
@@ -198,42 +194,21 @@ def windows_of(
         With fixes, or a reference.
     top_hz : float, optional
         Upper edge of the last band; default :data:`USABLE` of half the sampling rate, at most the last of :data:`EDGES`.
-    span : (start_s, end_s), optional
-        A part of it.
 
     Raises
     ------
     InputError
         Nothing that tells the speed; a rate below 4 Hz; fewer than ten windows.
     """
-    return windows_of_signals(signals_of(recording), recording.source, top_hz=top_hz, span=span)
-
-
-def top_of(*recordings: Recording) -> float:
-    """The highest frequency that all recordings show, Hz."""
-    return min(EDGES[-1], *(USABLE * 0.5 / r.imu.dt for r in recordings))
-
-
-def windows_of_signals(
-    s: Signals, source: str, *, top_hz: float | None = None, span: tuple[float, float] | None = None
-) -> Windows:
-    """:func:`windows_of` of signals that are there.
-
-    Parameters
-    ----------
-    s : Signals
-    source : str
-    top_hz, span
-        As of :func:`windows_of`.
-    """
+    s = signals_of(recording)
     top = min(EDGES[-1], USABLE * 0.5 / s.dt) if top_hz is None else top_hz
     edges = np.array([e for e in EDGES if e < 0.8 * top] + [top])
     length = round(WINDOW_S / s.dt)
-    first = s.pieces(length, length, *(span or ()))
+    first = s.pieces(length, length)
     if first.size < 10 or edges.size < 3:
         raise InputError(
             f"has {first.size} windows of {WINDOW_S:g} s without a gap, at {1 / s.dt:.4g} Hz, expected at least 10, and 5 Hz",
-            where=source,
+            where=recording.source,
         )
     f, z = spectra(s, first, length)
     density = np.abs(z) ** 2
@@ -243,8 +218,13 @@ def windows_of_signals(
     t = s.t[first] + 0.5 * WINDOW_S
     speed, turn, climb = s.motion(t)
     more, names = _further(s, first, length, f, z, (speed, turn), top)
-    noise = sensor_noise(s, span)
-    return Windows(t, speed, turn, climb, power, edges, more, names, noise, source, s.said)
+    noise = sensor_noise(s)
+    return Windows(t, speed, turn, climb, power, edges, more, names, noise, recording.source, s.said)
+
+
+def top_of(*recordings: Recording) -> float:
+    """The highest frequency that all recordings show, Hz."""
+    return min(EDGES[-1], *(USABLE * 0.5 / r.imu.dt for r in recordings))
 
 
 def spectra(s: Signals, first: NDArray[np.intp], length: int) -> tuple[Array, NDArray[np.complex128]]:
@@ -277,7 +257,7 @@ def within(recording: Recording, span: tuple[float, float] | None) -> Recording:
     return replace(recording, imu=imu.rows((imu.t >= span[0]) & (imu.t <= span[1])), gnss=gnss)
 
 
-def sensor_noise(s: Signals, span: tuple[float, float] | None = None, *, moving: bool = False) -> Array | None:
+def sensor_noise(s: Signals, *, moving: bool = False) -> Array | None:
     """White density of the sensor (6,), one-sided: the largest that its signals allow; None where it hardly stands.
 
     A rigid body moves all axes, noise of a sensor is its own. So while it stands the noise of an axis is at most what the five others do not explain,
@@ -287,7 +267,6 @@ def sensor_noise(s: Signals, span: tuple[float, float] | None = None, *, moving:
     Parameters
     ----------
     s : Signals
-    span : (start_s, end_s), optional
     moving : bool
         The quietest windows alone where it does not stand.
 
@@ -297,12 +276,12 @@ def sensor_noise(s: Signals, span: tuple[float, float] | None = None, *, moving:
     """
     edges = np.geomspace(QUIET_HZ, USABLE * 0.5 / s.dt, 5)
     length = round(WINDOW_S / s.dt)
-    f, z = spectra(s, s.pieces(length, length, *(span or ())), length)
+    f, z = spectra(s, s.pieces(length, length), length)
     power = np.abs(z) ** 2
     bands = [power[:, (f >= a) & (f < b)].mean(axis=1) for a, b in pairwise(edges)]
     quietest = np.min([np.quantile(x, QUIETEST, axis=0) for x in bands], axis=0)
     length = round(1.0 / s.dt)
-    first = s.pieces(length, length, *(span or ()))
+    first = s.pieces(length, length)
     first = first[s.motion(s.t[first] + 0.5)[0] < STANDING]
     count = 0
     if first.size >= LEAST_RESTING:

@@ -42,6 +42,36 @@ class _OfSensor(Effect):
         ]
 
 
+class _CrossAxis(_OfSensor):
+    """One of the six pairs of different axes: a trial hides it on one of them."""
+
+    def crossed(self, motion: Motion, by: Array | float = 1.0) -> list[Column]:
+        """One column per sensor and pair: the signal of the other axis, times a factor at every row."""
+        return [
+            Column.of(
+                self,
+                s,
+                f"value_{i}{j}",
+                (i,),
+                ((first_axis(s) + XYZ.index(i), by * motion.signal(s)[:, XYZ.index(j)]),),
+            )
+            for s in self.sensors
+            for i, j in map(tuple, CROSS)
+        ]
+
+    def hidden(self, lot: DriveLot) -> Hidden:
+        """One of the six pairs."""
+        return Hidden((CROSS[lot.pair][0],), {"value": at(lot.pair, lot.size(self, "value"), 6)})
+
+
+def _off_diagonal(values: Sequence[float]) -> Array:
+    """Matrix (3, 3) of the six pairs of different axes."""
+    out = np.zeros((3, 3))
+    for (i, j), value in zip(map(tuple, CROSS), values, strict=True):
+        out[XYZ.index(i), XYZ.index(j)] = value
+    return out
+
+
 class _OnOneAxis(_OfSensor):
     """One that a trial hides on one axis."""
 
@@ -190,7 +220,7 @@ class ScaleNonlinearity(_OfSensor):
         return out
 
 
-class Misalignment(_OfSensor):
+class Misalignment(_CrossAxis):
     """Misalignment and non-orthogonality."""
 
     id, name = "misalignment", "misalignment and non-orthogonality"
@@ -201,32 +231,18 @@ class Misalignment(_OfSensor):
 
     def inject(self, chain: Chain, use: EffectUse, rng: np.random.Generator) -> None:
         """Note it off the diagonal."""
-        m = np.zeros((3, 3))
-        for pair, value in zip(CROSS, use["value"], strict=True):
-            m["xyz".index(pair[0]), "xyz".index(pair[1])] = value
         s = chain.axes(use.sensor)
-        chain.response.matrix[s, s] += m
+        chain.response.matrix[s, s] += _off_diagonal(use["value"])
 
     def matrix(self, use: EffectUse) -> Array:
         """The sensor's block without its diagonal."""
-        out, first = np.zeros((6, 6)), first_axis(use.sensor)
-        for (i, j), value in zip(map(tuple, CROSS), use["value"], strict=True):
-            out[first + "xyz".index(i), first + "xyz".index(j)] = value
+        out, rows = np.zeros((6, 6)), _sensor_rows(use)
+        out[rows, rows] = _off_diagonal(use["value"])
         return out
 
     def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
         """The signal of another axis."""
-        return [
-            Column.of(
-                self, s, f"value_{i}{j}", (i,), ((first_axis(s) + XYZ.index(i), motion.signal(s)[:, XYZ.index(j)]),)
-            )
-            for s in self.sensors
-            for i, j in map(tuple, CROSS)
-        ]
-
-    def hidden(self, lot: DriveLot) -> Hidden:
-        """One of the six pairs."""
-        return Hidden((CROSS[lot.pair][0],), {"value": at(lot.pair, lot.size(self, "value"), 6)})
+        return self.crossed(motion)
 
 
 class Mounting(Effect):
@@ -499,7 +515,7 @@ class ThermalScaleFactor(_Warmed):
         return self.own(motion, lambda s: d * s)
 
 
-class ThermalMisalignment(_Warmed):
+class ThermalMisalignment(_CrossAxis, _Warmed):
     """A misalignment that follows the temperature."""
 
     id, name = "temperature_misalignment", "temperature-dependent misalignment"
@@ -510,27 +526,11 @@ class ThermalMisalignment(_Warmed):
 
     def per_kelvin(self, use: EffectUse) -> Array:
         """Everything but the diagonal."""
-        out = np.zeros((3, 3))
-        for (i, j), value in zip(map(tuple, CROSS), use["value"], strict=True):
-            out["xyz".index(i), "xyz".index(j)] = value
-        return out
+        return _off_diagonal(use["value"])
 
     def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
         """The signal of another axis times the temperature, without lag."""
-        if motion.warmth is None:
-            return []
-        d = motion.warmth - REFERENCE_DEGC
-        return [
-            Column.of(
-                self, s, f"value_{i}{j}", (i,), ((first_axis(s) + XYZ.index(i), d * motion.signal(s)[:, XYZ.index(j)]),)
-            )
-            for s in self.sensors
-            for i, j in map(tuple, CROSS)
-        ]
-
-    def hidden(self, lot: DriveLot) -> Hidden:
-        """One of the six pairs."""
-        return Hidden((CROSS[lot.pair][0],), {"value": at(lot.pair, lot.size(self, "value"), 6)})
+        return [] if motion.warmth is None else self.crossed(motion, motion.warmth - REFERENCE_DEGC)
 
 
 EFFECTS: tuple[Effect, ...] = (

@@ -447,7 +447,7 @@ class VelocityLag(_OfFixes):
 
     def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
         """The velocities are behind by the acceleration of the antenna."""
-        M = -fixes.moved
+        M = -fixes.change_per_second
         M[:, :3] = 0.0
         return [Column.of(self, "gnss", "lag", (), fixes=M)]
 

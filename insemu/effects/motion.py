@@ -427,7 +427,7 @@ class FixGeometry:
         return replace(self, slopes=slopes)
 
     @property
-    def moved(self) -> Array:
+    def change_per_second(self) -> Array:
         """What a second between IMU and fixes makes of position and velocity of the antenna, (f, 6).
 
         Of a smoothed velocity only the receiver's part moves with the stamps: what it is behind is put right along the IMU.

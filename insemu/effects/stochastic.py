@@ -27,10 +27,7 @@ _NO_MEAN = "random: it changes the covariance of the innovations, not their mean
 _NOT_FOUND = "no candidate looks for it"
 
 
-def _profile(default: float = 1.0) -> EffectParameter:
-    return _P(
-        "rest_factor", "", 1, (1.0,), default, "share of the noise that remains at standstill (0 to 1)", True, most=1.0
-    )
+_REST = _P("rest_factor", "", 1, (1.0,), 1.0, "share of the noise that remains at standstill (0 to 1)", True, most=1.0)
 
 
 class _Process(Effect):
@@ -240,7 +237,7 @@ class VibrationLine(Effect):
         _P("amplitude", "{s}", 3, (0.2 * DEG, 0.02 * G), None, "amplitude", True),
         _P("frequency", "Hz", 1, (20.0,), None, "frequency", True),
         _P("phase", "rad", 1, (1.0,), 0.0, "phase at the start of the record"),
-        _profile(),
+        _REST,
     )
     excitation = "rate above twice the frequency, else an alias"
     in_filter = "white noise of the same power, or a filter in front"
@@ -299,7 +296,7 @@ class VibrationBand(Effect):
         _P("rms", "{s}", 3, (0.2 * DEG, 0.02 * G), None, "standard deviation in motion", True),
         _P("frequency", "Hz", 1, (20.0,), None, "centre of the band", True),
         _P("bandwidth", "Hz", 1, (5.0,), None, "width of the band (full width at half power)", True),
-        _profile(),
+        _REST,
     )
     excitation, in_filter = "motion", "white noise of the same low-frequency power"
     traits = frozenset({"fast"})

@@ -42,7 +42,7 @@ class TimeOffset(Effect):
 
     def columns(self, motion: Motion, fixes: FixGeometry) -> list[Column]:
         """The fixes, and the start, which is known in their time, are ahead by velocity and acceleration."""
-        return [Column.of(self, "imu", "offset", (), fixes=fixes.moved, start=fixes.start)]
+        return [Column.of(self, "imu", "offset", (), fixes=fixes.change_per_second, start=fixes.start)]
 
     def hidden(self, lot: DriveLot) -> Hidden:
         """A constant."""
@@ -79,7 +79,7 @@ class ClockDrift(Effect):
         a_b = np.einsum("nji,nj->ni", motion.C, motion.gravity if motion.summed else motion.acceleration)
         inputs = on_axes(a_b, 3) + (() if motion.summed else on_axes(motion.rate))
         start = begun * fixes.start if begun else None
-        return [replace(Column.of(self, "imu", "drift", (), inputs, fixes.moved * late, start), runs=True)]
+        return [replace(Column.of(self, "imu", "drift", (), inputs, fixes.change_per_second * late, start), runs=True)]
 
     def hidden(self, lot: DriveLot) -> Hidden:
         """A constant."""

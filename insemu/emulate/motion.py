@@ -169,9 +169,9 @@ def profile(
     return Profile(t, *columns)
 
 
-def legs_of(commands: Sequence[Command], start_s: float = 0.0) -> tuple[Leg, ...]:
+def legs_of(commands: Sequence[Command]) -> tuple[Leg, ...]:
     """Start and end of every named command."""
-    legs, begin = [], start_s
+    legs, begin = [], 0.0
     for c in commands:
         if c.name:
             legs.append(Leg(c.name, begin, begin + c.duration_s, c.turn == 0.0))

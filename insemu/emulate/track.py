@@ -344,14 +344,14 @@ class _Basis:
 class _Smoother:
     """Banded normal equations of the penalised least squares."""
 
-    def __init__(self, basis: _Basis, density: float, order: int = 3) -> None:
+    def __init__(self, basis: _Basis, density: float) -> None:
         self.basis = basis
         self.penalty = np.zeros((_DEGREE + 1, basis.count))
         x, w = np.polynomial.legendre.leggauss(_DEGREE)
         edges = basis.knots[_DEGREE : -_DEGREE or None]
         for xi, wi in zip(x, w, strict=True):
             t = 0.5 * (edges[:-1] * (1 - xi) + edges[1:] * (1 + xi))
-            first, values = basis.design(t, order)
+            first, values = basis.design(t, 3)
             self._accumulate(self.penalty, first, values, 0.5 * wi * np.diff(edges) / density**2)
 
     @staticmethod
@@ -523,16 +523,15 @@ def hold_out(track: Track, every: int = 3, seed: int = 0) -> tuple[Track, NDArra
     return kept, out
 
 
-def held_out_distance(track: Track, vehicle_name: str = "car", *, every: int = 3, seed: int = 0) -> Array:
+def held_out_distance(track: Track, vehicle_name: str = "car") -> Array:
     """Distances in m of held-out fixes from the path that is smoothed from the rest; see :func:`hold_out`.
 
     Parameters
     ----------
     track : Track
     vehicle_name : str
-    every, seed : int
     """
-    kept, out = hold_out(track, every, seed)
+    kept, out = hold_out(track)
     path = smooth_track(kept, vehicle_name).path
     difference = earth.position_difference(np.asarray(track.llh)[out], path.llh(np.asarray(track.t)[out]))
     return np.asarray(np.linalg.norm(difference, axis=1))

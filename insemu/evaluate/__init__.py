@@ -49,7 +49,7 @@ from insemu.evaluate.results import (
 )
 from insemu.evaluate.running import ALONE, Resources, chosen, fly, fly_part, run_experiment
 from insemu.evaluate.shards import Shard, check_complete, note, noted
-from insemu.evaluate.standings import Standing, answer
+from insemu.evaluate.standings import Standing, answer, gnss_in_outages
 from insemu.evaluate.sweep import Row, Sweep, best_of, conditions, front
 from insemu.evaluate.twin import LinearTwin
 from insemu.evaluate.until import Goal, Look, looks
@@ -104,6 +104,7 @@ __all__ = [
     "fly",
     "fly_part",
     "front",
+    "gnss_in_outages",
     "input_files",
     "kendall",
     "lag_products",

@@ -24,7 +24,7 @@ from insemu.emulate import ideal_imu
 from insemu.errors import InputError
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.experiment import Experiment
-from insemu.evaluate.segments import beside, even_root, summed
+from insemu.evaluate.segments import even_root, summed, through_outside
 from insemu.evaluate.twin import LinearTwin
 from insemu.evaluate.world import stream
 from insemu.filters import FilterResult, InitialSigma, LooselyCoupledEKF
@@ -200,14 +200,14 @@ class CoarseTwin:
         y = np.zeros((len(streams), m + 6))
         y[:, :m] = xi[0] @ even_root(parts.first[:m, :m]).T
         if parts.length:
-            y = beside(y, xi[1], place, parts.before, parts.roots[0])
+            y = through_outside(y, xi[1], place, parts.before, parts.roots[0])
         w = xi[2] @ noise.T
         s = _chain(y[:, :m], transition[:m, :m], w[..., :m])
         out = s[:, :-1] @ transition[m:, :m].T + w[..., m:]
         if parts.length:  # the mean of the whole record is subtracted from its pieces
             y = np.hstack([s[:, -1], y[:, m:] + out.sum(axis=1)])
             y = y @ behind.T + xi[3] @ tail.T
-            y = beside(y, xi[4], place, parts.after, parts.roots[1])
+            y = through_outside(y, xi[4], place, parts.after, parts.roots[1])
             out -= self.rows * y[:, None, m:] / parts.length
         return out / self.world.rate_hz
 

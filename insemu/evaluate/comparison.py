@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from insemu.covariates import needed
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError, found_at, nearest
 from insemu.evaluate.covariance import CovarianceAnalysis, analyse
 from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.errors import PairedComparison, paired_ratio
@@ -83,10 +83,8 @@ def with_designs(scenario: Scenario, designs: Sequence[str]) -> Scenario:
                 f"no design '{name}'" + nearest(name, [*scenario.designs, *shipped_designs()]), where="--designs"
             )
         chosen[name] = scenario.designs.get(name) or Design.model_validate(name)
-        try:
+        with found_at("--designs"):
             scenario.check_design(name, chosen[name])
-        except InputError as error:
-            raise InputError(error.message, where="--designs") from None
     return scenario.model_copy(update={"designs": chosen})
 
 
@@ -178,16 +176,12 @@ def analysable(experiment: Experiment, *, removes_means: bool = False) -> tuple[
     return able, "; ".join(notes)
 
 
-def analyse_designs(
-    experiment: Experiment, states: Sequence[str] = ("pos_n", "pos_e"), *, workers: int = 1
-) -> dict[str, CovarianceAnalysis]:
+def analyse_designs(experiment: Experiment, *, workers: int = 1) -> dict[str, CovarianceAnalysis]:
     """Covariance analysis of every design that allows it, with an error budget at the end of every outage.
 
     Parameters
     ----------
     experiment : Experiment
-    states : sequence of str
-        Navigation errors in the budget.
     workers : int
         Threads: the compiled loops free the GIL.
 
@@ -218,7 +212,7 @@ def analyse_designs(
             true_gnss_sigma=(s.gnss.position_sigma, s.gnss.velocity_sigma or (0.0, 0.0, 0.0)),
             at=tuple(world.output_times),
             budget_at=ends,
-            budget_states=states,
+            budget_states=("pos_n", "pos_e"),
         )
 
     with ThreadPoolExecutor(max_workers=max(1, workers)) as pool:

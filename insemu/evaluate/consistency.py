@@ -1,4 +1,4 @@
-"""Does a filter know its own error? NEES, NIS, whiteness, coverage and credibility, each with bounds and a verdict in words.
+"""Does a filter know its own error? NEES, NIS, whiteness and credibility, each with bounds and a verdict in words.
 
 Every test states its confidence. Where several are made together (epochs, states, components) the bounds are those of the family:
 Bonferroni's ``1 - (1 - confidence) / count`` each, so that a consistent filter passes all of them with the stated probability.
@@ -17,12 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 from insemu.augment import Augmentation
 from insemu.emulate import TrueStates
 from insemu.errors import InputError
-from insemu.evaluate.verdict import COVERAGE, MEAN_SQUARE, Expected, Verdict, Word, judged
+from insemu.evaluate.verdict import MEAN_SQUARE, Expected, Verdict, Word, judged
 from insemu.filters import FilterResult, FixTable
 
 Array = NDArray[np.float64]
-#: Of a filter with too few and with too many errors inside its sigmas.
-_FEW_OR_MANY: tuple[Word, Word] = ("overconfident", "pessimistic")
 
 
 def nees(errors: ArrayLike, covariance: ArrayLike) -> Array:
@@ -341,48 +339,6 @@ def whiteness_verdicts(sums: ArrayLike, counts: ArrayLike, *, confidence: float 
         value, bound = float(s / n), float(z / math.sqrt(n))
         name, white = f"innovations at lag {lag}", Expected(0.0, 0.0, (coloured, coloured))
         out.append(judged("whiteness", name, value, (-bound, bound), confidence, int(n), white))
-    return out
-
-
-def coverage_test(
-    errors: ArrayLike, sigma: ArrayLike, *, names: Sequence[str], factor: float = 3.0, confidence: float = 0.99
-) -> list[Verdict]:
-    """Share of errors inside ``factor`` sigma, state by state, against binomial bounds around the Gaussian share.
-
-    Epochs of one run are correlated: as many samples count as would give the spread, over runs, of the share inside the errors' own rms.
-    (Rare events at ``factor`` sigma are correlated no more than those.)
-
-    Parameters
-    ----------
-    errors, sigma : (runs, epochs, states) array_like
-    names : sequence of str
-        One per state.
-    factor : float
-    confidence : float
-        Of all states together.
-    """
-    from scipy.stats import binom
-
-    e, s = np.asarray(errors, dtype=np.float64), np.asarray(sigma, dtype=np.float64)
-    if e.ndim != 3 or e.shape != s.shape or e.shape[2] != len(names) or e.shape[0] < 2:
-        raise InputError(
-            f"errors have shape {e.shape} and sigma {s.shape}, expected (runs, epochs, {len(names)}) both, of two runs or more"
-        )
-    runs, epochs, _ = e.shape
-    expected = float(scipy.special.chdtr(1, factor**2))
-    tail = 0.5 * (1.0 - confidence) / len(names)
-    share = (np.abs(e) <= factor * s).mean(axis=(0, 1))
-    inner = np.abs(e) <= np.sqrt(np.mean(e**2, axis=(0, 1)))
-    p = inner.mean(axis=(0, 1))
-    independent = p * (1.0 - p) / epochs
-    design = np.clip(inner.mean(axis=1).var(axis=0, ddof=1) / np.where(independent > 0, independent, 1.0), 1.0, epochs)
-    out = []
-    for i, name in enumerate(names):
-        count = round(runs * epochs / float(design[i]))
-        low, high = binom.ppf(tail, count, expected) / count, binom.isf(tail, count, expected) / count
-        test, found = f"{factor:g}-sigma coverage", float(share[i])
-        right = Expected(expected, COVERAGE, _FEW_OR_MANY)
-        out.append(judged(test, name, found, (low, high), confidence, count, right))
     return out
 
 

@@ -272,7 +272,7 @@ class Preview:
     mean_square: Mapping[str, Array]
     beyond: Mapping[str, Beyond]
 
-    def told(self, design: str, outage: int | None = None) -> Told:
+    def figures_of(self, design: str, outage: int | None = None) -> Told:
         """The figures of a design at the end of one outage (from 0), or of all: the mean over outages and the quantile of their errors.
 
         Parameters

@@ -112,7 +112,7 @@ class CovarianceAnalysis:
         return np.asarray(np.sqrt(np.einsum("tii->ti", self.believed)))
 
 
-def beside(belief: Augmentation, truth: Augmentation) -> Augmentation:
+def with_true_states(belief: Augmentation, truth: Augmentation) -> Augmentation:
     """The filter's estimates (driven by nothing) together with the true states (seen with the other sign).
 
     Calibration and installation states stand among the estimates only: the truth's are zero, for its sensors have no such errors.
@@ -148,7 +148,6 @@ def analyse(
     initial: NavState,
     believed_sigma: InitialSigma,
     *,
-    true_sigma: InitialSigma | None = None,
     true_gnss_sigma: tuple[ArrayLike, ArrayLike] | None = None,
     at: Sequence[float] | None = None,
     budget_at: Sequence[float] = (),
@@ -168,8 +167,8 @@ def analyse(
         Where and when there are fixes (the outages are its gaps), with the standard deviations that the filter believes; values are ignored.
     initial : NavState
         True initial state.
-    believed_sigma, true_sigma : InitialSigma
-        Of the initial errors: what the filter believes, and what is true (the same unless given).
+    believed_sigma : InitialSigma
+        Of the initial errors, which are true, too.
     true_gnss_sigma : (position, velocity), optional
         True standard deviations of the fixes, m and m/s; as believed unless given.
     at : sequence of float, optional
@@ -201,11 +200,11 @@ def analyse(
     rows = np.searchsorted(t, times - 1e-9).clip(0, t.size - 1).astype(np.int64)
     ekf, run = on_ideal_data(ekf, record, nav, gnss, initial, believed_sigma, times)
     true_aug = augment(truth, ekf.dt)
-    joint = beside(ekf.augmentation, true_aug)
+    joint = with_true_states(ekf.augmentation, true_aug)
     M, K, noise = updates(ekf, Gains.of(run), record, nav, joint, gnss, true_gnss_sigma)
     R = K @ noise @ K.transpose(0, 2, 1)
     system = JointSystem(joint, record, error_maps(record, nav, ekf.gravity), run.fixes.epoch, M, R)
-    sigma0 = (true_sigma or believed_sigma).to_array()
+    sigma0 = believed_sigma.to_array()
     P0 = np.zeros((9 + joint.m,) * 2)
     P0[:9, :9], P0[9:, 9:] = np.diag(sigma0**2), joint.P0
     believed = run.covariance[np.searchsorted(run.covariance_t, t[rows])][:, :9, :9]

@@ -266,7 +266,9 @@ class EmulatedWorld:
             inside = np.concatenate([[0], outage.covers(self.reference.llh).astype(np.int8), [0]])
             edges = np.flatnonzero(np.diff(inside)).reshape(-1, 2)
             windows += [
-                (float(self.reference.t[a]), float(self.reference.t[b - 1] - self.reference.t[a])) for a, b in edges
+                (float(self.reference.t[a]), float(self.reference.t[b - 1] - self.reference.t[a]))
+                for a, b in edges
+                if b - 1 > a  # of one sample there is nothing to judge
             ]
         return sorted(windows)
 

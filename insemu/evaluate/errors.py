@@ -67,16 +67,15 @@ def within_outage(t: ArrayLike, start_s: float, duration_s: float) -> NDArray[np
     return (t > start_s + 1e-9) & (t <= start_s + duration_s + 1e-9)
 
 
-def share_interval(count: int, of: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Exact interval of a share (Clopper and Pearson 1934).
+def share_interval(count: int, of: int) -> tuple[float, float]:
+    """Exact 95 % interval of a share (Clopper and Pearson 1934).
 
     Parameters
     ----------
     count, of : int
         Successes, and independent draws.
-    confidence : float
     """
-    tail = 0.5 * (1.0 - confidence)
+    tail = 0.025
     low = float(scipy.special.betaincinv(count, of - count + 1, tail)) if count else 0.0
     high = float(scipy.special.betaincinv(count + 1, of - count, 1.0 - tail)) if count < of else 1.0
     return low, high

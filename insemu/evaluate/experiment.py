@@ -19,7 +19,7 @@ from insemu import rotation
 from insemu.denoise import delayed_approximation, denoise
 from insemu.effects import compensated, lever_arm_of
 from insemu.emulate import TrueStates
-from insemu.errors import InputError
+from insemu.errors import InputError, found_at
 from insemu.evaluate.consistency import unaided_sigma
 from insemu.evaluate.dataset import of_designs
 from insemu.evaluate.emulated import EmulatedWorld
@@ -212,10 +212,8 @@ class Experiment:
         if any(source.method != "gmwm" or source.options for source in asked.values()):
             raise InputError("models with shared processes are fitted by gmwm without options", where=where)
         logs = [replace(self.fit_logs[axis][0], name=axis) for axis in asked]
-        try:
+        with found_at(where):
             found = fit_together(logs, {axis: source.fit for axis, source in asked.items() if source.fit is not None})
-        except InputError as error:
-            raise InputError(error.message, where=where) from None
         done.update({_fit_key(source, self.fit_logs[axis][0]): found[axis] for axis, source in asked.items()})
 
     def _belief(self, name: str, done: dict[tuple[str, int], FitResult]) -> Belief:

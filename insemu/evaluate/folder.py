@@ -59,7 +59,7 @@ def only_writer(folder: Path, *, shared: bool = False) -> Iterator[None]:
         # a process that was killed leaves those that it had started, which end by themselves and hold the lock so long
         if not _ended(writer) or time.monotonic() > until:
             raise InputError(
-                f"is being written by {_named(writer)}; wait for it, or choose another folder (--output)",
+                f"is being written by {_writer_text(writer)}; wait for it, or choose another folder (--output)",
                 where=str(folder),
             )
         time.sleep(0.05)
@@ -101,7 +101,7 @@ def _held(path: Path, shared: bool) -> TextIO | None:
 
 def _ended(writer: Path) -> bool:
     """Whether the process that is named as the writer was one of this machine and is no more."""
-    found = re.match(r"process (\d+) on (\S+) since", _named(writer))
+    found = re.match(r"process (\d+) on (\S+) since", _writer_text(writer))
     if found is None or found[2] != platform.node() or os.name == "nt":
         return False
     try:
@@ -113,7 +113,7 @@ def _ended(writer: Path) -> bool:
     return False
 
 
-def _named(writer: Path) -> str:
+def _writer_text(writer: Path) -> str:
     """Who holds the folder, as the holder wrote it: together with the lock, because Windows lets nobody read a locked file."""
     try:
         return writer.read_text(encoding="utf-8").strip() or "another process"

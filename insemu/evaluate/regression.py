@@ -285,18 +285,21 @@ def alterations(experiment: Experiment, design: str, factor: float) -> list[Alte
     return out
 
 
+#: Relative change of a parameter that is tried.
+TRIED = 0.1
+
+
 def smallest_detectable(
     experiment: Experiment,
     baseline: Baseline,
     design: str,
     *,
     false_alarm: float = 0.01,
-    step: float = 0.1,
     workers: int = 1,
 ) -> dict[str, float]:
     """Smallest relative change of each believed parameter that a check with other draws finds with 80 % probability.
 
-    Each parameter is changed by ``step`` over two realizations; what that does to the figures is compared with what each figure can
+    Each parameter is changed by a tenth over two realizations; what that does to the figures is compared with what each figure can
     show, and taken as linear.
 
     Parameters
@@ -306,8 +309,6 @@ def smallest_detectable(
     design : str
     false_alarm : float
         Of the check, for all figures together.
-    step : float
-        Relative change that is tried.
     workers : int
 
     Returns
@@ -319,7 +320,7 @@ def smallest_detectable(
     held = baseline.figures[design]
     plain = figures(run_experiment(experiment, realizations=2, resources=Resources(workers=workers)), design)
     out = {}
-    for a in alterations(experiment, design, 1.0 + step):
+    for a in alterations(experiment, design, 1.0 + TRIED):
         moved = figures(
             run_experiment(AlteredExperiment(experiment, a), realizations=2, resources=Resources(workers=workers)),
             design,
@@ -334,7 +335,7 @@ def smallest_detectable(
             visible = max(visible, FLOOR * abs(float(before.mean())))
             shift = abs(float((moved[name] - plain[name]).mean()))
             if shift > 1e-9 * abs(float(before.mean())):
-                best = min(best, step * visible / shift)
+                best = min(best, TRIED * visible / shift)
         out[str(a)] = best
     return out
 

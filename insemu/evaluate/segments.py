@@ -124,7 +124,7 @@ class Segments:
         length, steps = record
         aug, own = truth
         rows = np.unique(ends)
-        parts = _moved(joint, aug, own, sigma, [*rows, len_of(joint)] if length else rows)
+        parts = _parts_up_to(joint, aug, own, sigma, [*rows, len_of(joint)] if length else rows)
         p = aug.m + 6 * (length > 0)
         first = np.zeros((p, p))
         first[: aug.m, : aug.m] = aug.P0
@@ -155,7 +155,7 @@ class Segments:
             place = np.arange(start, start + count) % max(len(self.before), 1)
             s = xi[:, :p] @ first.T
             if self.length:
-                s = beside(s, xi[:, cut[1] : cut[2]], place, self.before, self.roots[0])
+                s = through_outside(s, xi[:, cut[1] : cut[2]], place, self.before, self.roots[0])
             z, errors = np.zeros((D, count, n)), np.empty((len(self.parts), D, count, 9))
             for k, (part, root) in enumerate(zip(self.parts, roots, strict=True)):
                 w = xi[:, cut[3 + k] : cut[4 + k]] @ root.T
@@ -164,7 +164,7 @@ class Segments:
                 s = s @ part.states[:p, :p].T + w[:, D * n :]
                 errors[k] = z[:, :, :9]
             if self.length:  # the mean of the whole record is subtracted from its pieces
-                s = beside(s, xi[:, cut[2] : cut[3]], place, self.after, self.roots[1])
+                s = through_outside(s, xi[:, cut[2] : cut[3]], place, self.after, self.roots[1])
                 for k, response in enumerate(self._constants()):
                     errors[k] -= s[:, p - 6 :] / self.length @ response.transpose(0, 2, 1)
             out[start : start + count] = errors[self.outage].transpose(2, 1, 0, 3)
@@ -217,7 +217,9 @@ def len_of(joint: Joint) -> int:
     return int(joint.intervals.nodes[-1])
 
 
-def _moved(joint: Joint, aug: Augmentation, truth: Carried, sigma: Array, ends: Sequence[int] | Ints) -> list[Segment]:
+def _parts_up_to(
+    joint: Joint, aug: Augmentation, truth: Carried, sigma: Array, ends: Sequence[int] | Ints
+) -> list[Segment]:
     """The parts up to every end."""
     D, n = joint.M.shape[1:3]
     m, r = aug.m, truth.effect.shape[1]
@@ -294,7 +296,7 @@ def _both(C: Array, own: Array, seen: Array, states: Array) -> Array:
     return half(half(C).T)
 
 
-def beside(
+def through_outside(
     s: Array, xi: Array, place: NDArray[np.intp], maps: Sequence[tuple[Array, Array]], roots: Sequence[Array]
 ) -> Array:
     """Take true states and sums (realizations, p) through what lies outside their piece of the record.

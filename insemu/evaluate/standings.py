@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,7 +177,35 @@ def answer(results: Results) -> Answer | None:
 
 
 def _durations(results: Results) -> str:
+    """How long the outages are, and what they leave."""
     lengths = sorted({duration for _, duration in results.outages})
-    if len(lengths) == 1:
-        return f"after {lengths[0]:g} s without GNSS"
-    return f"after {lengths[0]:g} to {lengths[-1]:g} s without GNSS"
+    span = f"{lengths[0]:g}" if len(lengths) == 1 else f"{lengths[0]:g} to {lengths[-1]:g}"
+    return f"after {span} s {gnss_in_outages(results.manifest.get('scenario', {}).get('gnss', {}))}"
+
+
+def gnss_in_outages(gnss: Mapping[str, Any]) -> str:
+    """What the outages of a scenario leave of the satellites, for a sentence.
+
+    Parameters
+    ----------
+    gnss : mapping
+        The section of the resolved scenario.
+    """
+    kinds = {_satellites_in(outage) for outage in gnss.get("outages", ())}
+    if gnss.get("areas") or gnss.get("random_outages"):
+        kinds.add("")
+    if not any(kinds):
+        return "without GNSS"
+    partly = f"with {' or '.join(sorted(kinds - {''}))} only"
+    return f"without GNSS or {partly}" if "" in kinds else partly
+
+
+def _satellites_in(outage: Mapping[str, Any]) -> str:
+    """The satellites that one outage leaves; nothing of a total one."""
+    count, sectors = outage.get("satellites"), outage.get("sectors")
+    where = f"satellites above {math.degrees(outage['elevation']):g} deg" if outage.get("elevation") is not None else ""
+    if sectors:
+        where = f"{where or 'satellites'} outside {len(sectors)} shaded sector{'s' * (len(sectors) > 1)}"
+    if count == 0 or (count is None and not where):
+        return ""
+    return f"at most {count} {where or 'satellites'}" if count else where

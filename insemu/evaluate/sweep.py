@@ -355,7 +355,7 @@ def _linear_rows(experiment: Experiment, realizations: int, step: Progress) -> l
     step(0, realizations, "realizations")
     out, preview = [], previewed(twin, realizations)
     for name, stated_at in twin.stated.items():
-        told = preview.told(name)
+        told = preview.figures_of(name)
         stated = float(np.sqrt((stated_at**2).mean()))
         factor = told.rms / stated
         knows = "yes" if 1.0 / MATERIAL <= factor <= MATERIAL else "optimistic" if factor > 1.0 else "pessimistic"

@@ -19,7 +19,7 @@ from insemu import earth, rotation
 from insemu.augment import Augmentation, augment
 from insemu.errors import InputError
 from insemu.evaluate.comparison import analysable
-from insemu.evaluate.covariance import beside, updates
+from insemu.evaluate.covariance import updates, with_true_states
 from insemu.evaluate.emulated import EmulatedWorld
 from insemu.evaluate.errors import navigation_error
 from insemu.evaluate.experiment import Experiment
@@ -112,7 +112,7 @@ class LinearTwin:
             own = carried(intervals, ekf.augmentation, rates)
             start = (self._start, s.initial.sigma)
             gains, P = gains_along(ekf, record, nav, self._fixes, start, self.ends, (intervals, own))
-            joint = replace(beside(ekf.augmentation, constants), white=self.truth.white)
+            joint = replace(with_true_states(ekf.augmentation, constants), white=self.truth.white)
             M, K, self.noise[name] = updates(ekf, gains, record, nav, joint, self._fixes, sigma)
             nb = ekf.layout.n
             self._transition[:, i, :nb, :nb] = transitions(intervals, own)

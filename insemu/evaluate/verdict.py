@@ -1,6 +1,6 @@
 """What one test of consistency says: a value, its bounds, a word and a sentence.
 
-Of many samples bounds become narrower than anything that a decision turns on. So a difference up to :data:`MEAN_SQUARE` or :data:`COVERAGE` is
+Of many samples bounds become narrower than anything that a decision turns on. So a difference up to :data:`MEAN_SQUARE` is
 said as certain and small, and counts as consistent.
 """
 
@@ -12,8 +12,6 @@ from typing import Literal, NamedTuple
 Word = Literal["consistent", "overconfident", "pessimistic", "correlated"]
 #: Relative difference of NEES and NIS per degree of freedom from 1 that moves no decision: sigmas that are 1 % too large or too small.
 MEAN_SQUARE = 0.02
-#: Difference of a coverage from what is expected that moves no decision.
-COVERAGE = 0.01
 #: What a word means of the errors of a filter, and of its innovations, which say nothing of errors that no fix sees.
 _OF_ERRORS = {
     "consistent": "the filter knows its error",

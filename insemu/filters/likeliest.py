@@ -92,7 +92,7 @@ def likeliest(run: Run, start: Array, sd: float, least: Array | None = None) -> 
     here = run(x)
     value = posterior(here, x)
     for _ in range(MOST_STEPS):
-        scores, information = _scores(here, _moved(run, x))
+        scores, information = _scores(here, _stepped(run, x))
         uphill = scores.sum(axis=0) - x / sd**2
         free = (x > low) | (uphill > 0.0)
         bent = information + np.eye(x.size) / sd**2
@@ -133,7 +133,7 @@ def uncertainty(run: Run, found: Likeliest, sd: float) -> Array:
     (p, p) array
     """
     here, precision = found.innovations, np.eye(found.x.size) / sd**2
-    scores, information = _scores(here, _moved(run, found.x))
+    scores, information = _scores(here, _stepped(run, found.x))
     inverse = np.linalg.inv(information + precision)
     block = ((here.t - here.t[0]) // BLOCK_S).astype(int)
     sums = np.stack([np.bincount(block, s) for s in scores.T], axis=1)
@@ -142,7 +142,7 @@ def uncertainty(run: Run, found: Likeliest, sd: float) -> Array:
     return np.asarray(inverse * np.outer(wider, wider))
 
 
-def _moved(run: Run, x: Array) -> list[Innovations]:
+def _stepped(run: Run, x: Array) -> list[Innovations]:
     return [run(x + STEP * e) for e in np.eye(x.size)]
 
 

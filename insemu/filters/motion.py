@@ -223,12 +223,12 @@ class _Stretch:
                 C, x = np.stack([f.C for f in fits]), np.stack([f.x for f in fits])
             fits = []
             for fit in sorted(self.solve(C, x, prior, again), key=lambda f: f.chi2):
-                if all(_apart(fit, f) for f in fits):
+                if all(_two_solutions(fit, f) for f in fits):
                     fits.append(fit)
         return fits, (fits[1].chi2 - fits[0].chi2) / fits[0].scale() if len(fits) > 1 else np.inf
 
 
-def _apart(one: _Fit, other: _Fit) -> bool:
+def _two_solutions(one: _Fit, other: _Fit) -> bool:
     """Whether the attitudes of two fits are two solutions."""
     return bool(np.linalg.norm(rotation.vector_from_dcm(one.C @ other.C.T)) >= APART)
 

@@ -79,13 +79,17 @@ class Quiet:
         return value, across * (np.eye(3) - vertical) + along * vertical
 
 
+#: Largest horizontal speed of a fix at rest, m/s.
+QUIET_SPEED = 0.3
+#: Half-second spreads of rate and specific force up to this multiple of the quietest tenth of the record count as quiet.
+QUIET_FACTOR = 3.0
+
+
 def quiet_stretches(
     imu: ImuRecord,
     gnss: GnssRecord | None = None,
     *,
     shortest: float = 2.0,
-    speed: float = 0.3,
-    factor: float = 3.0,
     bias: tuple[Array, Array] | None = None,
 ) -> list[Quiet]:
     """Stretches in which the IMU does not stir and no fix moves, each with whether it is a rest.
@@ -97,10 +101,6 @@ def quiet_stretches(
         Where it has velocities, faster fixes rule rest out.
     shortest : float
         Shortest stretch, s.
-    speed : float
-        Largest horizontal speed of a fix at rest, m/s.
-    factor : float
-        Half-second spreads of the rate and the specific force up to this multiple of the quietest tenth of the record count as quiet.
     bias : (value (3,), covariance (3, 3)), optional
         What is known of the gyroscope's bias, rad/s.
     """
@@ -113,9 +113,9 @@ def quiet_stretches(
     spread = blocks.std(axis=1)
     size = np.stack([np.linalg.norm(spread[:, :3], axis=1), np.linalg.norm(spread[:, 3:], axis=1)], axis=1)
     start, end = imu.t[: count * n : n], imu.t[n - 1 : count * n : n]
-    fast = _fast(0.5 * (start + end), gnss, speed)
+    fast = _fast(0.5 * (start + end), gnss, QUIET_SPEED)
     slow = size[~fast] if (~fast).sum() >= 4 else size
-    still = (size <= factor * np.quantile(slow, 0.1, axis=0)).all(axis=1) & ~fast
+    still = (size <= QUIET_FACTOR * np.quantile(slow, 0.1, axis=0)).all(axis=1) & ~fast
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]]))).reshape(-1, 2)
     found = []
     for a, b in edges:
@@ -125,7 +125,7 @@ def quiet_stretches(
             )
             if stretch is not None:
                 found.append(stretch)
-    return _told(found, gnss, bias)
+    return _rests_by_rate(found, gnss, bias)
 
 
 def _fast(t: Array, gnss: GnssRecord | None, speed: float) -> NDArray[np.bool_]:
@@ -163,7 +163,7 @@ def _judged(means: Array, white: Array, start: float, end: float) -> Quiet | Non
     return Quiet(start, end, rate, down, scatter, abs(float(rate @ down)) <= STILL_RATE)
 
 
-def _told(found: Sequence[Quiet], gnss: GnssRecord | None, bias: tuple[Array, Array] | None) -> list[Quiet]:
+def _rests_by_rate(found: Sequence[Quiet], gnss: GnssRecord | None, bias: tuple[Array, Array] | None) -> list[Quiet]:
     """Quiet stretches, those called rests whose rate about the vertical is a known bias, or that of another stop."""
     out = []
     for q in found:
@@ -212,25 +212,12 @@ WANDER = 50.0
 STIR = (0.01, 0.1)
 
 
-def never_moves(
-    recording: Recording,
-    *,
-    radius: float = REST_RADIUS,
-    speed: float = REST_SPEED,
-    wander: float = WANDER,
-    stir: tuple[float, float] = STIR,
-) -> bool:
+def never_moves(recording: Recording) -> bool:
     """Whether the fixes of a recording say that nothing moved from its first to its last second.
 
     Parameters
     ----------
     recording : Recording
-    radius, speed : float
-        Fixes that stay this close to their median, m, and this slow, m/s, or within their own noise, were made at rest.
-    wander : float
-        Fixes that wander no further than this, m, are at rest too where the IMU does not stir.
-    stir : (float, float)
-        Means over a second of an IMU that does not stir change by less than this, rad/s and m/s^2, nine times out of ten.
     """
     gnss = recording.gnss
     if gnss is None:
@@ -240,21 +227,21 @@ def never_moves(
         return True
     middle = np.median(gnss.llh[known], axis=0)
     away = earth.position_difference(gnss.llh[known], middle)
-    if float(np.max(np.abs(away))) < wander and _does_not_stir(recording.imu, stir):
+    if float(np.max(np.abs(away))) < WANDER and _does_not_stir(recording.imu):
         return True
     noise = 0.0 if gnss.pos_std_ned is None else float(np.nanmax(gnss.pos_std_ned))
-    if float(np.max(np.abs(np.median(away[: away.shape[0] // 10 + 1], axis=0)))) > max(radius, noise):
+    if float(np.max(np.abs(np.median(away[: away.shape[0] // 10 + 1], axis=0)))) > max(REST_RADIUS, noise):
         return False
-    if float(np.max(np.abs(away))) > max(radius, 6.0 * noise):
+    if float(np.max(np.abs(away))) > max(REST_RADIUS, 6.0 * noise):
         return False
     if gnss.vel_ned is None:
         return True
     spread = 0.0 if gnss.vel_std_ned is None else float(np.nanmax(gnss.vel_std_ned))
     speeds = np.abs(gnss.vel_ned[np.isfinite(gnss.vel_ned)])
-    return not speeds.size or float(speeds.max()) < max(speed, 6.0 * spread)
+    return not speeds.size or float(speeds.max()) < max(REST_SPEED, 6.0 * spread)
 
 
-def _does_not_stir(imu: ImuRecord, stir: tuple[float, float]) -> bool:
+def _does_not_stir(imu: ImuRecord) -> bool:
     """A drift of the IMU's own is slow, a vehicle is not."""
     count = max(1, round(1.0 / imu.dt))
     rows = len(imu) // count * count
@@ -262,4 +249,4 @@ def _does_not_stir(imu: ImuRecord, stir: tuple[float, float]) -> bool:
         return False
     means = imu.rates()[:rows].reshape(-1, count, 6).mean(axis=1)
     changes = np.quantile(np.abs(np.diff(means, axis=0)), 0.9, axis=0)
-    return bool(changes[:3].max() <= stir[0] and changes[3:].max() <= stir[1])
+    return bool(changes[:3].max() <= STIR[0] and changes[3:].max() <= STIR[1])

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import rotation
-from insemu.errors import InputError
+from insemu.errors import InputError, found_at
 from insemu.formats import clocks
 from insemu.formats.angles import DIGITS, digits, place_unit
 from insemu.formats.axes import axes_matrix, axis_order
@@ -170,10 +170,8 @@ def _factor(role: str, unit: str, where: str) -> tuple[float, bool]:
         return 1.0, False
     if not unit.strip() or unit.lower() in ("counts", "raw", "-"):
         return parse_unit(_USUAL.get(role, si)).factor, False
-    try:
+    with found_at(where):
         found = scaled_unit(unit)
-    except InputError as error:
-        raise InputError(error.message, where=where) from None
     if si == "m/s" and found.dimension == parse_unit("m").dimension:  # speeds called after their length
         return found.factor, False
     if found.dimension == parse_unit(si).dimension:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import yamlfile
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError, found_at, nearest
 from insemu.formats.names import english
 from insemu.units import parse, parse_unit, scaled_unit
 from insemu.whole import put
@@ -178,10 +178,8 @@ def _quoted(word: str) -> tuple[str, str, str]:
 
 
 def _check_unit(role: str, unit: str, where: str) -> None:
-    try:
+    with found_at(f"{where}: {role}"):
         found = scaled_unit(unit)
-    except InputError as error:
-        raise InputError(error.message, where=f"{where}: {role}") from None
     dimensions = [parse_unit(u).dimension for u in allowed_units(role)]
     if role not in ("week", "quality") and found.dimension not in dimensions:
         raise InputError(f"the unit '{unit}' is none of {ROLES[role][1] or 'a plain number'}", where=f"{where}: {role}")

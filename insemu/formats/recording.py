@@ -24,7 +24,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.errors import InputError
+from insemu.errors import InputError, found_at
 from insemu.formats.clocks import CLOCKS
 from insemu.formats.columns import split_header
 from insemu.formats.decoding import decoding, open_text
@@ -197,7 +197,7 @@ def _initial(arrays: Mapping[str, NDArray[Any]], source: str) -> InitialState | 
         if given.size != size:
             raise InputError(f"has {given.size} numbers, expected {size}", where=f"{source}: initial_{key}")
         values[key] = given
-    try:
+    with found_at(source):
         return InitialState(
             float(values["t"][0]),
             values["llh"] * _DEGREES,
@@ -205,8 +205,6 @@ def _initial(arrays: Mapping[str, NDArray[Any]], source: str) -> InitialState | 
             np.deg2rad(values["rpy_deg"]),
             values["sigma"] * _INITIAL_UNITS,
         )
-    except InputError as error:
-        raise InputError(error.message, where=source) from None
 
 
 def _need(arrays: Mapping[str, NDArray[Any]], key: str, source: str) -> NDArray[Any]:
@@ -260,10 +258,8 @@ def _imu(arrays: Mapping[str, NDArray[Any]], source: str) -> ImuRecord:
         temperature = numbers(arrays["temperature"], f"{source}: temperature")
         if temperature.shape != t.shape:
             raise InputError(f"has shape {temperature.shape}, expected {t.shape}", where=f"{source}: temperature")
-    try:
+    with found_at(source):
         return ImuRecord(t, values[:, :3], values[:, 3:], kind, temperature, _sampling(arrays, source))
-    except InputError as error:
-        raise InputError(error.message, where=source) from None
 
 
 def _sampling(arrays: Mapping[str, NDArray[Any]], source: str) -> Sampling | None:
@@ -289,10 +285,8 @@ def _imu_factors(units: list[str], kind: ImuKind, where: str) -> Array:
     factors = []
     for k, unit in enumerate(units):
         target = wanted[k // 3]
-        try:
+        with found_at(where):
             parsed = parse_unit(unit)
-        except InputError as error:
-            raise InputError(error.message, where=where) from None
         if parsed.dimension != parse_unit(target).dimension:
             raise InputError(
                 f"{COLUMNS[k]} has the unit '{unit}', expected one of the dimension of {target} (imu_kind is '{kind}'; "

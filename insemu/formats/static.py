@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from insemu.errors import InputError, nearest
+from insemu.errors import InputError, found_at, nearest
 from insemu.formats.clocks import read_stamps
 from insemu.formats.columns import guess_map, split_header
 from insemu.formats.npz import load_npy, load_npz, numbers, scalar, texts
@@ -415,12 +415,12 @@ def _times(stamps: NDArray[Any], name: str, unit: str, path: Path) -> _Stamps:
     return start, continuous(t, scale)[0]
 
 
-def _is_time(x: Array, *, even: bool = True) -> bool:
+def _is_time(x: Array) -> bool:
     """Whether a column rises from row to row as times do: by nearly the same step. No sensor's noise does that."""
     step = np.diff(x)
     if step.size < 2 or not (step > 0).all():
         return False
-    return not even or bool(np.quantile(np.abs(step - np.median(step)), 0.9) <= 0.5 * np.median(step))
+    return bool(np.quantile(np.abs(step - np.median(step)), 0.9) <= 0.5 * np.median(step))
 
 
 def _sampled(t: Array, data: list[NDArray[Any]], source: str) -> tuple[Array, list[NDArray[Any]], tuple[str, ...]]:
@@ -438,10 +438,8 @@ def _sampled(t: Array, data: list[NDArray[Any]], source: str) -> tuple[Array, li
     same = None
     if (step == 0.0).any():
         same = np.concatenate([[False], np.all([x[1:] == x[:-1] for x in data], axis=0)])
-    try:
+    with found_at(source):
         found = sample_times(t, same)
-    except InputError as error:
-        raise InputError(error.message, where=source) from None
     if not np.array_equal(found.rows, np.arange(t.size)):
         data = [x[found.rows] for x in data]
     return found.t, data, found.said

@@ -121,7 +121,7 @@ def _imu_lines(data: Opened, imu: ImuRecord, found: receiver.Agreement | None, u
     lines = checks.timing(imu.t, counts) + checks.repeats(imu) + checks.columns(imu)
     push, gnss = None, data.gnss
     if gnss is None:
-        lines += checks.moved(imu.t, imu.rates())
+        lines += checks.check_moved_rest(imu.t, imu.rates())
     motion: list[Line] = []
     if gnss is not None:
         apart = fixed.together(imu, gnss, "fixes")

@@ -115,7 +115,7 @@ def timing(t: Array, counts: Mapping[str, int], *, moving: bool = True) -> list[
     return out
 
 
-def moved(t: Array, values: Array) -> list[Line]:
+def check_moved_rest(t: Array, values: Array) -> list[Line]:
     """Whether a record that is mostly at rest was moved: stretches of a second that move many times as much as the others, and do not come back.
 
     Parameters

@@ -225,7 +225,7 @@ def turn_of(imu: ImuRecord, track: Track) -> Turn | None:
             (np.interp(when + RATE_S, imu.t, angle) - np.interp(when - RATE_S, imu.t, angle)) / (2.0 * RATE_S * speed)
         )
 
-    def left(shift: float, keep: NDArray[np.bool_], spread: float) -> float:
+    def unexplained(shift: float, keep: NDArray[np.bool_], spread: float) -> float:
         """Sum of squares that the turn, a drift and a lever arm of :data:`LEVER` leave."""
         x, w = parts(shift)
         arm = lever(end + shift, speed[1:][rows]) - lever(start + shift, speed[:-1][rows])
@@ -253,8 +253,8 @@ def turn_of(imu: ImuRecord, track: Track) -> Turn | None:
     x, w = parts(float(fine[k]))
     spread = float(np.std((change * w - slope * x)[keep]))
     near = float(fine[k]) + np.arange(-1.0, 1.0 + 1e-9, 0.1)  # an arm moves the best offset
-    smallest = min(left(float(shift), keep, spread) for shift in near)
-    beside = 0.5 * count * np.log(max(left(0.0, keep, spread), 1e-300) / max(smallest, 1e-300))
+    smallest = min(unexplained(float(shift), keep, spread) for shift in near)
+    beside = 0.5 * count * np.log(max(unexplained(0.0, keep, spread), 1e-300) / max(smallest, 1e-300))
     turned = float(np.sqrt(np.mean(change**2)))
     return Turn(slope, correlation, float(fine[k]), float(gain), float(beside), count, turned)
 

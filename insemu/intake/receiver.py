@@ -116,17 +116,17 @@ def velocity_lag(gnss: GnssRecord) -> tuple[float, float]:
     way = scipy.interpolate.CubicSpline(own.t, own.velocity[:, :2]).antiderivative()
     ends, there = moved.t[inside] + 0.5 * moved.span * np.array([[-1.0], [1.0]]), moved.velocity[inside, :2]
 
-    def left(lag: float) -> float:
+    def unexplained(lag: float) -> float:
         rest = np.sort(np.abs(there - np.diff(way(ends + lag), axis=0)[0] / moved.span), axis=None)
         return float(rest[: int(0.9 * rest.size)].mean())
 
-    lag = min(min(LAGS, key=left) + NEARER, key=left)
-    share = left(lag) / max(left(0.0), 1e-300)
+    lag = min(min(LAGS, key=unexplained) + NEARER, key=unexplained)
+    share = unexplained(lag) / max(unexplained(0.0), 1e-300)
     late = abs(lag) >= LATE_S and -there.size * np.log(max(share, 1e-300)) > LAG_NATS
     return (float(lag), share) if late else (0.0, 1.0)
 
 
-def _turned(moved: Track, own: Track, left: float) -> float:
+def _turned(moved: Track, own: Track, unexplained: float) -> float:
     """Angle by which velocities are turned clockwise against the motion of the positions, rad; 0 where turning back explains little more."""
     a = moved.velocity[:, 0] + 1j * moved.velocity[:, 1]
     b = np.interp(moved.t, own.t, own.velocity[:, 0]) + 1j * np.interp(moved.t, own.t, own.velocity[:, 1])
@@ -138,7 +138,7 @@ def _turned(moved: Track, own: Track, left: float) -> float:
     keep = rest <= np.quantile(rest, 0.95)
     turned = float(rest[keep].sum() / max(float((np.abs(a[keep]) ** 2).sum()), 1e-300))
     angle = -float(np.angle(factor))
-    return angle if abs(angle) > TURNED and turned < 0.5 * left else 0.0
+    return angle if abs(angle) > TURNED and turned < 0.5 * unexplained else 0.0
 
 
 def _climbing(gnss: GnssRecord, own: Track) -> float:

@@ -35,11 +35,11 @@ def weighting_rows(found: ArrayFit) -> tuple[list[str], list[list[str]]]:
     return header, rows
 
 
-def weight_rows(found: ArrayFit, name: str = METRES) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of the weights of a weighting: an axis per row, with the share of the mean square that the axis makes up."""
+def weight_rows(found: ArrayFit) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of the weights for the fewest metres: an axis per row, with the share of the mean square that the axis makes up."""
     header = ["axis", *found.units, "share with equal weights"]
     rows = [
-        [axis, *(f"{v:.3f}" for v in w), f"{found.shares[axis].sum():.1%}"] for axis, w in found[name].weights.items()
+        [axis, *(f"{v:.3f}" for v in w), f"{found.shares[axis].sum():.1%}"] for axis, w in found[METRES].weights.items()
     ]
     return header, rows
 

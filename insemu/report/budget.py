@@ -83,12 +83,12 @@ def budget_table(budgets: Budgets) -> page.Table:
     return page.Table(header, rows, left=1)
 
 
-def budget_lines(budgets: Budgets, parts: int = 3) -> list[str]:
+def budget_lines(budgets: Budgets) -> list[str]:
     """The largest parts of every design at the end of the last outage, in words."""
     out = []
     for name, per in budgets.items():
         last = per[-1]
-        top = ", ".join(f"{key} {value:.3g}" for key, value in list(last["parts_rms_m"].items())[:parts])
+        top = ", ".join(f"{key} {value:.3g}" for key, value in list(last["parts_rms_m"].items())[:3])
         out.append(
             f"{name}: rms {last['rms_m']:.3g} m at the end of outage {len(per)} (stated {last['predicted_sigma_m']:.3g}), of that {top}."
         )

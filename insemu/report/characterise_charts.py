@@ -116,7 +116,9 @@ def allan_chart(axes: Sequence[AxisReport], of: str = "") -> Chart:
             views.append(_overview(title, members))
     views += [_slopes(axis) for axis in axes]
     caption = "Allan deviation with 95 % intervals; of an axis also the straight parts and what was read from them."
-    return Chart(_named("Allan deviation", of), caption, None, "averaging time (s)", views, log_x=True, group="scale")
+    return Chart(
+        _name_of_pair("Allan deviation", of), caption, None, "averaging time (s)", views, log_x=True, group="scale"
+    )
 
 
 def _overview(title: str, members: Sequence[AxisReport]) -> View:
@@ -179,7 +181,7 @@ def wavelet_chart(members: Sequence[AxisReport], of: str, beside: Sequence[Named
     if beside:
         caption += " Grey: wavelet variances of other sensors from the file given, in that file's units."
     view = _view(of, f"wavelet variance (({plain(unit)})²)", lines, curves)
-    return Chart(_named("Wavelet variance", of), caption, None, "scale (s)", [view], log_x=True, group="scale")
+    return Chart(_name_of_pair("Wavelet variance", of), caption, None, "scale (s)", [view], log_x=True, group="scale")
 
 
 def spectrum_chart(members: Sequence[AxisReport], of: str) -> Chart:
@@ -212,7 +214,7 @@ def spectrum_chart(members: Sequence[AxisReport], of: str) -> Chart:
     caption = (
         "Root of the one-sided power spectral density; of an axis also the octave levels from the wavelet variance."
     )
-    return Chart(_named("Spectrum", of), caption, None, "frequency (Hz)", views, log_x=True, group="frequency")
+    return Chart(_name_of_pair("Spectrum", of), caption, None, "frequency (Hz)", views, log_x=True, group="frequency")
 
 
 def trend_chart(members: Sequence[AxisReport], of: str) -> Chart:
@@ -233,7 +235,7 @@ def trend_chart(members: Sequence[AxisReport], of: str) -> Chart:
         curves.append((axis.trend_t / 60.0, factor * (axis.trend - level)))
     views = _beside_and_alone(members, of, label, curves)
     return Chart(
-        _named("Over time", of),
+        _name_of_pair("Over time", of),
         "Block means over time, less the median of the second half: warm-up and level shifts are seen here.",
         None,
         "time (min)",
@@ -257,7 +259,7 @@ def correlation_chart(members: Sequence[AxisReport], of: str) -> Chart:
         lines = [Line("as it is", c["raw"], COLOURS[0]), Line("after wavelet de-noising", c["de-noised"], COLOURS[1])]
         views.append(View(axis.name, "autocorrelation", lines, x=c["lag_s"]))
     caption = "Autocorrelation before and after wavelet de-noising (db4, six octaves, soft, SURE): the rest is the slow noise."
-    return Chart(_named("Correlation", of), caption, None, "lag (s)", views, group="lag")
+    return Chart(_name_of_pair("Correlation", of), caption, None, "lag (s)", views, group="lag")
 
 
 def _beside_and_alone(members: Sequence[AxisReport], of: str, label: str, curves: Sequence[Curve]) -> list[View]:
@@ -270,5 +272,5 @@ def _beside_and_alone(members: Sequence[AxisReport], of: str, label: str, curves
     return [View(of, label, lines, x=x, printed=False), *alone]
 
 
-def _named(name: str, of: str) -> str:
+def _name_of_pair(name: str, of: str) -> str:
     return f"{name}, {of[:1].lower()}{of[1:]}" if of else name

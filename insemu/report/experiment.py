@@ -26,17 +26,17 @@ from insemu.report.page import Block, Card, Code, Folded, Items, Page, Section, 
 from insemu.report.tables import (
     FIGURES,
     SMOOTHED,
-    beside,
     consistency_lines,
     full_headline,
     log_distance,
     page_headline,
     pooled_rank_line,
+    published_table,
     rank_lines,
-    shown_beside,
     smoother_rows,
     variant_caption,
     variant_rows,
+    with_published,
 )
 from insemu.shown import count_of
 from insemu.units import datasheet
@@ -187,8 +187,8 @@ def _variants(main: Results, variants: Mapping[str, Results]) -> Section:
 def _published(main: Results, variants: Mapping[str, Results], source: str) -> Section:
     lead = f"{source} The rms of ln(ours / published) over its cells is {log_distance(main):.2f}."
     tables = [
-        Table(*beside(results, figure), f"{label}: {FIGURES[figure]}, m", left=2)
-        for label, results in shown_beside(main, variants)
+        Table(*published_table(results, figure), f"{label}: {FIGURES[figure]}, m", left=2)
+        for label, results in with_published(main, variants)
         for figure in results.published
     ]
     ranks = (*rank_lines(main), *pooled_rank_line(main, variants))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu import earth
-from insemu.evaluate import Results, chi_square_bounds, chosen, outage_table, within_outage
+from insemu.evaluate import Results, chi_square_bounds, chosen, gnss_in_outages, outage_table, within_outage
 from insemu.report.charts import GREY, INK, RED, Chart, Line, View, band, positive, strokes
 from insemu.report.style import COLOURS
 from insemu.shown import count_of
@@ -210,24 +210,26 @@ def _outside(results: Results, design: int) -> float:
     return float(np.mean(1.0 - results.total.mean("inside_horizontal", design)[inside]))
 
 
-def nees_chart(results: Results, confidence: float = 0.99) -> Chart:
+#: Probability that a consistent filter lies inside the bounds at one epoch.
+CONFIDENCE = 0.99
+
+
+def nees_chart(results: Results) -> Chart:
     """NEES per degree of freedom of the navigation states, mean over realizations, with its chi-square bounds for a single epoch.
 
     Parameters
     ----------
     results : Results
-    confidence : float
-        Probability that a consistent filter lies inside the bounds at one epoch.
     """
     at = _epochs(results)
     dof = results.nees_dof * results.realizations
-    tail = 0.5 * (1.0 - confidence)
+    tail = 0.5 * (1.0 - CONFIDENCE)
     bounds = [x / dof for x in chi_square_bounds(tail, dof)]
     lines = [
         Line(design, positive(results.total.mean("nees", d)[at] / 9.0), colour(d))
         for d, design in enumerate(results.names)
     ]
-    lines += band(f"{confidence:.0%} bounds", (np.full(at.size, b) for b in bounds), GREY, len(lines))
+    lines += band(f"{CONFIDENCE:.0%} bounds", (np.full(at.size, b) for b in bounds), GREY, len(lines))
     return _over_time(
         "Consistency",
         "NEES (normalised estimation error squared) of the navigation states per degree of freedom, mean over "
@@ -276,7 +278,8 @@ def flight_chart(results: Results) -> Chart:
     whole = View("Whole flight", "north of the start (m)", lines, labels=labels)
     return Chart(
         "Flight",
-        "The reference from above with the spans without GNSS; the other views show every design's track in one outage. The cursor of the "
+        f"The reference from above with the spans {gnss_in_outages(results.manifest.get('scenario', {}).get('gnss', {}))}; "
+        "the other views show every design's track in one outage. The cursor of the "
         "charts over time is shown here, and that of the map there. Drag to zoom, double-click to undo.",
         None,
         "east of the start (m)",

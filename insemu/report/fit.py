@@ -32,7 +32,7 @@ def drawable(result: FitResult) -> bool:
     return result.converged or bool(np.isfinite(result.fitted).all())
 
 
-def decomposition(results: Mapping[str, FitResult], rng: np.random.Generator, draws: int = DRAWS) -> Chart:
+def decomposition(results: Mapping[str, FitResult], rng: np.random.Generator) -> Chart:
     """Wavelet deviation with its intervals, the model and each of its processes, and the range of draws from the model, axis by axis.
 
     Parameters
@@ -40,8 +40,6 @@ def decomposition(results: Mapping[str, FitResult], rng: np.random.Generator, dr
     results : mapping of axis to FitResult
         With the curves that were fitted.
     rng : Generator
-    draws : int
-        Signals drawn from each model.
     """
     views = []
     for (axis, result), child in zip(results.items(), rng.spawn(len(results)), strict=True):
@@ -59,10 +57,10 @@ def decomposition(results: Mapping[str, FitResult], rng: np.random.Generator, dr
                     lines.append(Line(name, np.sqrt(positive(part)), COLOURS[i % len(COLOURS)], dashed=True))
             drawn = [
                 np.sqrt(wavelet_variance(x, result.rate_hz, filter=curve.filter, intervals="eta3").value)
-                for x in (result.model.simulate(result.n_samples, result.dt, one) for one in child.spawn(draws))
+                for x in (result.model.simulate(result.n_samples, result.dt, one) for one in child.spawn(DRAWS))
             ]
             edges = (positive(edge(drawn, axis=0)) for edge in (np.min, np.max))
-            lines += band(f"range of {draws} draws from the model", edges, GREY, len(lines))
+            lines += band(f"range of {DRAWS} draws from the model", edges, GREY, len(lines))
         title = f"{axis}: {result.structure} by {result.method}"
         lines, unit = familiar(lines, result.unit)
         views.append(View(title, f"wavelet deviation ({unit})", lines, log_y=True, x=curve.tau_s))

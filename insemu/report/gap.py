@@ -108,6 +108,8 @@ def _follows(finding: Finding) -> bool:
 FIRST_SCREEN, FEW_NAMES = 6, 3
 #: Findings of one effect among those that are folded from which on they are counted apart.
 MANY = 3
+#: Rows of the tables of statistics.
+LOOKED_AT = 12
 #: Scatter of the positions from fix to fix over what is believed below which they were filtered: RTK without a filter reaches 0.38 (rtkexp_drive),
 #: filters 0.007 to 0.02 (u-blox, UAV; ``python -m tests.real_gaps``).
 FILTERED = 0.1
@@ -239,7 +241,8 @@ def _interval(i: Interval) -> str:
     return "not scored" if not np.isfinite(i.value) else f"{i.value:.3f} [{i.low:.3f}, {i.high:.3f}]"
 
 
-def _where_table(entries: Sequence[Where], caption: str, count: int = 12) -> Table:
+def _where_table(entries: Sequence[Where], caption: str) -> Table:
+    entries = entries[:LOOKED_AT]
     rows = [
         [
             w.statistic.replace("_", " "),
@@ -247,9 +250,9 @@ def _where_table(entries: Sequence[Where], caption: str, count: int = 12) -> Tab
             "" if w.scale_s is None else _number(w.scale_s),
             f"{w.p_value:.2g}",
         ]
-        for w in entries[:count]
+        for w in entries
     ]
-    strong = frozenset(k for k, w in enumerate(entries[:count]) if w.p_value < 0.01)
+    strong = frozenset(k for k, w in enumerate(entries) if w.p_value < 0.01)
     return Table(("statistic", "axis", "scale, s", "corrected p"), rows, caption, left=2, strong=strong)
 
 

@@ -36,7 +36,7 @@ def render_check(checks: Mapping[str, Check], left: GapReport | None, folder: st
     )
     cards = [
         Card(
-            _named(name, checks),
+            _model_text(name, checks),
             f"{c.outages.inside} of {c.outages.starts.size} outages inside",
             f"{c.outside} of {len(c.statistics)} statistics outside 95 %",
             "good" if c.outages.inside >= 0.85 * c.outages.starts.size else "warn",
@@ -58,7 +58,7 @@ def render_check(checks: Mapping[str, Check], left: GapReport | None, folder: st
             [
                 told,
                 *([Items(list(last.assumed))] if last.assumed else []),
-                *(_table(_named(name, checks), c) for name, c in checks.items()),
+                *(_table(_model_text(name, checks), c) for name, c in checks.items()),
             ],
         ),
     ]
@@ -68,7 +68,7 @@ def render_check(checks: Mapping[str, Check], left: GapReport | None, folder: st
     )
 
 
-def _named(name: str, checks: Mapping[str, Check]) -> str:
+def _model_text(name: str, checks: Mapping[str, Check]) -> str:
     """A model as the page calls it."""
     return f"The model {name}" if len(checks) > 1 else "The model"
 
@@ -84,7 +84,7 @@ def _chart(checks: Mapping[str, Check]) -> Chart:
             Line("emulated, 95 %", o.high, COLOURS[0], fill_to=1),
             Line("emulated, median", o.middle, COLOURS[0], dashed=True),
         ]
-        views.append(View(_named(name, checks), "horizontal error (m)", lines, log_y=True, x=o.starts))
+        views.append(View(_model_text(name, checks), "horizontal error (m)", lines, log_y=True, x=o.starts))
     caption = "Horizontal error after 60 s without fixes, outage by outage: measured, and the middle 90 % of what the model makes."
     return Chart("Outages", caption, None, "start of the outage (s)", views)
 

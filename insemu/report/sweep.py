@@ -56,20 +56,20 @@ def sweep_rows(sweep: Sweep, rows: Sequence[Row]) -> Cells:
     return header, body
 
 
-def _told(values: Mapping[str, str], keys: Sequence[str]) -> str:
+def _values_text(values: Mapping[str, str], keys: Sequence[str]) -> str:
     return ", ".join(values[k] if k in ("trajectory", "sensor") else f"{k} {values[k]}" for k in keys)
 
 
 def _choice(sweep: Sweep, row: Row) -> str:
     """Sensor, other choices and design of a row."""
     chosen = [f.key for f in sweep.given if f.key not in conditions(sweep)]
-    return " with ".join(x for x in (_told(row.values, chosen), row.design) if x)
+    return " with ".join(x for x in (_values_text(row.values, chosen), row.design) if x)
 
 
 def _by_condition(sweep: Sweep, rows: Sequence[Row]) -> dict[str, list[Row]]:
     out: dict[str, list[Row]] = {}
     for row in rows:
-        out.setdefault(_told(row.values, conditions(sweep)), []).append(row)
+        out.setdefault(_values_text(row.values, conditions(sweep)), []).append(row)
     return out
 
 
@@ -134,10 +134,10 @@ def _pareto(sweep: Sweep, rows: Sequence[Row]) -> Chart:
     views: list[View] = []
     for where, own in _by_condition(sweep, rows).items():
         chosen = [f.key for f in sweep.given if f.key not in conditions(sweep)]
-        kinds = list(dict.fromkeys(_told(r.values, chosen) or r.design for r in own))
+        kinds = list(dict.fromkeys(_values_text(r.values, chosen) or r.design for r in own))
         lines = []
         for k, kind in enumerate(kinds):
-            mine = [r for r in own if (_told(r.values, chosen) or r.design) == kind]
+            mine = [r for r in own if (_values_text(r.values, chosen) or r.design) == kind]
             text = [f"{_choice(sweep, r)}: {r.error_m:.3g} m, {r.states} states, {r.knows}" for r in mine]
             lines.append(
                 Line(
@@ -199,7 +199,7 @@ def _against(sweep: Sweep, rows: Sequence[Row]) -> list[Block]:
         for d, design in enumerate(designs):
             placed = sorted(((values[r.values[key]], r) for r in rows if r.design == design), key=itemgetter(0))
             x, own = [at for at, _ in placed], [r for _, r in placed]
-            text = [f"point {r.point}: {r.error_m:.3g} m, " + _told(r.values, list(r.values)) for r in own]
+            text = [f"point {r.point}: {r.error_m:.3g} m, " + _values_text(r.values, list(r.values)) for r in own]
             lines.append(Line(design, [r.error_m for r in own], colour(d), points=True, width=5.0, x=x, text=text))
             found = spearmanr(x, [r.error_m for r in own]).statistic if len(own) > 2 else math.nan
             body.append([key, design, f"{found:+.2f}" if np.isfinite(found) else ""])

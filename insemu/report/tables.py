@@ -145,7 +145,7 @@ def full_headline(results: Results) -> Table:
     return _filled(columns, outage_rows(results))
 
 
-def beside(results: Results, figure: str) -> Table:
+def published_table(results: Results, figure: str) -> Table:
     """A published figure next to ours, design by design: a row of ours and a row of the paper's, one column per outage."""
     cells = {(name, k): theirs for name, k, _, theirs in published_cells(results, figure)}
     table = outage_table(results)
@@ -158,7 +158,7 @@ def beside(results: Results, figure: str) -> Table:
     return ["design", "", *(f"no. {k + 1}" for k in numbers)], body
 
 
-def shown_beside(main: Results, variants: Mapping[str, Results]) -> list[tuple[str, Results]]:
+def with_published(main: Results, variants: Mapping[str, Results]) -> list[tuple[str, Results]]:
     """The results with published figures of their own: the scenario's where it has several, and those of variants with others."""
     out: list[tuple[str, Results]] = []
     for label, results in {"default": main, **variants}.items():
@@ -190,7 +190,7 @@ def rank_lines(results: Results) -> list[str]:
 
 def pooled_rank_line(main: Results, variants: Mapping[str, Results]) -> list[str]:
     """The agreement over all outages of a scenario whose variants bring published outages of their own."""
-    distinct = [results for _, results in shown_beside(main, variants)]
+    distinct = [results for _, results in with_published(main, variants)]
     if len(distinct) < 2:
         return []
     figure = main.headline_figure

@@ -27,8 +27,8 @@ MOST_EPOCHS = 1500
 SEEN = 1e-5
 
 
-def _thin(n: int, most: int = MOST_EPOCHS) -> slice:
-    return slice(None, None, -(-n // most) or 1)
+def _thin(n: int) -> slice:
+    return slice(None, None, -(-n // MOST_EPOCHS) or 1)
 
 
 def track_charts(flight: Flight, track: SmoothedTrack | None = None, length_s: float = np.inf) -> list[Chart]:

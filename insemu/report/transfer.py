@@ -39,7 +39,7 @@ def transfer_answer(found: Transfer) -> str:
 def factor_rows(found: Transfer) -> Cells:
     """Header and rows: the factor on every level."""
     rows = [
-        [f.name, f"{f.value:.3g}", f"{f.low:.3g} to {f.high:.3g}", "" if f.told else "the drive cannot tell"]
+        [f.name, f"{f.value:.3g}", f"{f.low:.3g} to {f.high:.3g}", "" if f.decisive else "the drive cannot tell"]
         for f in found.factors
     ]
     return ["level", "factor", "95 % interval", ""], rows

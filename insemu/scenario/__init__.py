@@ -7,7 +7,7 @@ trajectories are registered names, numbers carry units (``0.032 deg/s/sqrt(Hz)``
 from insemu.scenario.design import AxisSource, Design, DesignOptions, GyroSource
 from insemu.scenario.designs import shipped_designs
 from insemu.scenario.fields import EffectList, Section
-from insemu.scenario.files import code_version, digest, load, resolve_path, schema, validated, variant_names
+from insemu.scenario.files import code_version, digest, load, resolve_path, schema, validated
 from insemu.scenario.schema import (
     MAX_REALIZATIONS,
     FitSource,
@@ -65,6 +65,5 @@ __all__ = [
     "state_names",
     "structures",
     "validated",
-    "variant_names",
     "with_changes",
 ]

@@ -245,7 +245,7 @@ class DesignOptions(Section):
     gate: float | None = key(None, "probability that a good fix is rejected; null: no gate", gt=0, lt=1)
     gate_timeout: Seconds = key(
         FilterOptions.gate_timeout,
-        "fixes are rejected for so long in a row; then one is taken",
+        "fixes (no aids, no satellites) are rejected for so long in a row; then one is taken",
         gt=0,
         le=LARGEST,
         examples=["5 s"],

@@ -21,7 +21,7 @@ from insemu.formats import read_recording, seconds_of_date, utc_of
 from insemu.records import AXES
 from insemu.scenario.fields import Made
 from insemu.scenario.schema import Scenario
-from insemu.scenario.sensor_keys import beside
+from insemu.scenario.sensor_keys import files_from
 from insemu.scenario.shipped import located
 from insemu.scenario.swept import with_changes
 from insemu.yamlfile import Place
@@ -58,7 +58,7 @@ def load(
     if not isinstance(document.data, dict):
         expected = "expected a mapping of keys such as title, trajectory, truth, designs"
         raise InputError(f"found {type(document.data).__name__}, {expected}", where=str(path))
-    data, lines = beside(with_changes(document.data, changes or {}), located(path).parent), dict(document.lines)
+    data, lines = files_from(with_changes(document.data, changes or {}), located(path).parent), dict(document.lines)
     if variant is not None:
         variants = data.get("variants")
         if not isinstance(variants, dict) or variant not in variants:
@@ -137,12 +137,7 @@ def validated(section: type[S], document: yamlfile.Document) -> S:
     try:
         return section.model_validate(document.data)
     except ValidationError as error:
-        raise _named(error, section, document) from None
-
-
-def variant_names(scenario: Scenario) -> list[str]:
-    """Names of the scenario's variants, in the order of the file."""
-    return list(scenario.variants)
+        raise _with_place(error, section, document) from None
 
 
 def _keys_at(place: Place, section: Any) -> list[str]:
@@ -165,7 +160,7 @@ def _inside(annotation: Any, metadata: Iterable[Any] = ()) -> Any:
     return next((section for section in inner if section is not None), None)
 
 
-def _named(error: ValidationError, section: type[BaseModel], document: yamlfile.Document) -> InputError:
+def _with_place(error: ValidationError, section: type[BaseModel], document: yamlfile.Document) -> InputError:
     """The first problem as one message with file, line and key."""
     # a misspelled key also makes a required one missing; the misspelling is the cause
     first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")

@@ -142,7 +142,9 @@ class OutageKeys(Section):
     """A span without GNSS."""
 
     start_s: Seconds = Field(alias="start", ge=0, description="time from the start, or a date of a recording")
-    duration_s: Seconds = Field(alias="duration", ge=0, description="how long; the fix at its end is withheld, too")
+    duration_s: Seconds = Field(
+        alias="duration", gt=0, description="how long, more than 0; the fix at its end is withheld, too"
+    )
     satellites: int | None = key(None, "of gnss.raw so many are left at most, the highest", ge=0, examples=[3])
     elevation: Radians | None = key(None, "of gnss.raw those above this elevation are left", examples=["40 deg"])
     sectors: tuple[tuple[Radians, Radians, Radians], ...] = key(

@@ -12,13 +12,13 @@ from insemu.records import AXES
 from insemu.sensors import models
 
 
-def beside(value: Any, folder: Path) -> Any:
+def files_from(value: Any, folder: Path) -> Any:
     """Plain data in which every file under the key ``sensor`` is named from a folder; names of sensors and of axes stay."""
     if isinstance(value, list):
-        return [beside(item, folder) for item in value]
+        return [files_from(item, folder) for item in value]
     if not isinstance(value, Mapping):
         return value
-    out = {key: beside(item, folder) for key, item in value.items()}
+    out = {key: files_from(item, folder) for key, item in value.items()}
     name = out.get("sensor")
     if (
         isinstance(name, str)

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from insemu import units
-from insemu.errors import InputError
+from insemu.errors import InputError, found_at
 
 #: SI unit of a sensor's signal.
 SIGNAL_UNITS: Mapping[str, str] = {"gyro": "rad/s", "accel": "m/s^2"}
@@ -125,10 +125,8 @@ def quantity(text: str, kind: str, sensor: str, where: str) -> float:
     InputError
         A unit of another dimension, or no positive number.
     """
-    try:
+    with found_at(where):
         value = units.parse(text, KINDS[kind].unit_for(sensor))
-    except InputError as error:
-        raise InputError(error.message, where=where) from None
     if not value > 0.0:
         raise InputError(f"found {text!r}, expected a positive quantity", where=where)
     return value

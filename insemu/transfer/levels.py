@@ -49,7 +49,7 @@ class Factor:
     high: float
 
     @property
-    def told(self) -> bool:
+    def decisive(self) -> bool:
         """Whether the interval is narrow enough to rest a choice on."""
         return self.high <= TOO_WIDE * self.low
 
@@ -57,7 +57,7 @@ class Factor:
     def asks(self) -> bool:
         """Whether there is something to explain: a factor that is told, far from 1, and not 1 by its interval."""
         far = max(self.value, 1.0 / self.value) > WORTH_REASONS
-        return self.told and far and not self.low <= 1.0 <= self.high
+        return self.decisive and far and not self.low <= 1.0 <= self.high
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,7 @@ class Transfer:
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
         return {
-            "factors": [{**asdict(f), "told": f.told} for f in self.factors],
+            "factors": [{**asdict(f), "told": f.decisive} for f in self.factors],
             "interval_s": self.interval,
             "judged": [asdict(j) for j in self.judged],
             "reasons": [{**s.finding.to_json(), "shares": s.shares} for s in self.reasons],

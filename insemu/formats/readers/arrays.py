@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insemu.errors import InputError
-from insemu.formats.apart import arrays_apart, check_size
 from insemu.formats.columns import ColumnMap, guess_map
 from insemu.formats.npz import load_npz
+from insemu.formats.subprocess_decoder import check_size, decoded_arrays
 from insemu.formats.table import Reader, Table, register
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -150,7 +150,7 @@ def parquet_arrays(path: str) -> dict[str, NDArray[Any]]:
 
 def _apart(function: str) -> Callable[[Path, Mapping[str, str]], list[Table]]:
     """A reader whose decoder is native code: SciPy's of MATLAB v5 crashes the interpreter on some corrupt files."""
-    return lambda path, settings: _checked(arrays_apart(__name__, function, path), path)
+    return lambda path, settings: _checked(decoded_arrays(__name__, function, path), path)
 
 
 def _read_npz(path: Path, settings: Mapping[str, str]) -> list[Table]:

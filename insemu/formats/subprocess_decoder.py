@@ -37,7 +37,7 @@ def check_size(wanted: int, path: str) -> None:
         raise InputError(f"states {wanted / 1e9:.3g} GB of numbers in a file of {size} bytes", where=path)
 
 
-def arrays_apart(module: str, function: str, path: Path) -> dict[str, NDArray[Any]]:
+def decoded_arrays(module: str, function: str, path: Path) -> dict[str, NDArray[Any]]:
     """What ``function(path)`` of a module gives in a process of its own.
 
     Parameters
@@ -76,7 +76,7 @@ def _worker() -> subprocess.Popen[bytes]:
     """The process of this process (a forked one starts its own)."""
     worker = _workers.get(os.getpid())
     if worker is None or worker.poll() is not None:
-        command = [sys.executable, "-c", "from insemu.formats.apart import serve; serve()"]
+        command = [sys.executable, "-c", "from insemu.formats.subprocess_decoder import serve; serve()"]
         worker = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True
         )
@@ -92,7 +92,7 @@ def _stop() -> None:
 
 
 def serve() -> None:
-    """Decode what is asked on standard input until it ends; the work of the process that :func:`arrays_apart` starts."""
+    """Decode what is asked on standard input until it ends; the work of the process that :func:`decoded_arrays` starts."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what a library prints is no answer
     for line in sys.stdin:
