@@ -94,7 +94,7 @@ def test_a_hill_parts_a_bias_from_a_scale_factor_and_the_emulator_keeps_the_prom
     # promise and emulation are counts of one share (Fisher's exact test): 6 pairs fail together once in 500,000
     for pair, (seen, count) in x.kept.items():
         promised = round(x.best.distinguished[pair] * DRAWS)
-        assert count == 10
+        assert 5 <= count <= 10  # one whose filter starts at another fix is not compared
         assert scipy.stats.fisher_exact([[promised, DRAWS - promised], [seen, count - seen]]).pvalue > 2e-6 / len(x.kept)
     scenario, waypoints = write_experiment(x, tmp_path / "next.yaml")
     assert load(scenario).trajectory is not None
