@@ -95,7 +95,8 @@ def test_a_hill_parts_a_bias_from_a_scale_factor_and_the_emulator_keeps_the_prom
     for pair, (seen, count) in x.kept.items():
         promised = round(x.best.distinguished[pair] * DRAWS)
         assert 5 <= count <= 10  # one whose filter starts at another fix is not compared
-        assert scipy.stats.fisher_exact([[promised, DRAWS - promised], [seen, count - seen]]).pvalue > 2e-6 / len(x.kept)
+        p = scipy.stats.fisher_exact([[promised, DRAWS - promised], [seen, count - seen]]).pvalue
+        assert p > 2e-6 / len(x.kept)
     scenario, waypoints = write_experiment(x, tmp_path / "next.yaml")
     assert load(scenario).trajectory is not None
     again = read_waypoints(waypoints)
