@@ -502,10 +502,15 @@ def _on_arm(
 
 
 def _raised(recorded: GnssRecord, steady: GnssRecord) -> Array:
-    """Median ratio of the standard deviations of fixes to those that were recorded, (6,): position, then velocity."""
+    """Median ratio of the standard deviations of the fixes that were raised to those that were recorded, (6,): position, then velocity.
+
+    A vehicle that stands half of the time shakes in the other half.
+    """
     out, a, b = np.ones(6), steady.vel_std_ned, recorded.vel_std_ned
     if a is not None and b is not None and a is not b:
-        out[3:] = np.maximum(np.nanmedian(a / b, axis=0), 1.0)
+        for k, ratio in enumerate((a / b).T):
+            if (more := ratio > 1.0).any():
+                out[3 + k] = np.median(ratio[more])
     return out
 
 
