@@ -245,6 +245,17 @@ def test_one_folder_has_one_writer(tmp_path: Path) -> None:
         other.communicate()
 
 
+def test_refused_input_leaves_no_folder_that_was_made_for_it(tmp_path: Path) -> None:
+    for kept in (False, True):
+        folder = tmp_path / "results" / "a"
+        with pytest.raises(InputError), only_writer(folder):
+            if kept:
+                (folder / "part").write_bytes(b"finished")
+            raise InputError("refused")
+        assert (folder.exists(), (tmp_path / "results").exists()) == (kept, kept)
+        assert not kept or [f.name for f in folder.iterdir()] == ["part"]
+
+
 def test_what_a_killed_writer_left_half_written_is_removed(tmp_path: Path) -> None:
     (tmp_path / "variants" / "late" / "figures").mkdir(parents=True)
     deep = "variants/late/figures/.end.png.17.partial.png"

@@ -40,6 +40,8 @@ CACHE = "cache"
 def only_writer(folder: Path, *, shared: bool = False) -> Iterator[None]:
     """Hold a folder of results; it is made where it does not exist, and what a killed writer left half written is removed.
 
+    Input that is refused leaves no folder that was made for it.
+
     Parameters
     ----------
     folder : path
@@ -52,9 +54,10 @@ def only_writer(folder: Path, *, shared: bool = False) -> Iterator[None]:
         Another process writes into it; names that process. Or the file system cannot lock. Those that a killed writer had started are waited
         for, at most :data:`LEFT` seconds.
     """
+    made = [f for f in (folder, *folder.parents) if not f.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     path, writer = folder / LOCK, folder / WRITER
-    until = time.monotonic() + LEFT
+    refused, until = False, time.monotonic() + LEFT
     while (held := _held(path, shared)) is None:
         # a process that was killed leaves those that it had started, which end by themselves and hold the lock so long
         if not _ended(writer) or time.monotonic() > until:
@@ -69,12 +72,19 @@ def only_writer(folder: Path, *, shared: bool = False) -> Iterator[None]:
                 clear_partials(folder)
             put(writer, f"process {os.getpid()} on {platform.node()} since {time.strftime('%Y-%m-%d %H:%M:%S')}\n")
             yield
+        except InputError:
+            refused = True
+            raise
         finally:
             if not shared:  # others may hold it still
                 for file in (writer, path):  # Windows removes no open file: there it goes below
                     with suppress(OSError):
                         file.unlink()
             portalocker.unlock(handle)
+            if refused:
+                with suppress(OSError):  # one that holds something stays
+                    for empty in made:
+                        empty.rmdir()
     if os.name == "nt" and not shared:  # refused where another process has opened it meanwhile
         with suppress(OSError):
             path.unlink()
