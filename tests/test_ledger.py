@@ -75,6 +75,7 @@ def test_every_row_is_reached(tmp_path: Path) -> None:
         browser.close()
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_page_of_many_outages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A run whose outages are too many to be shown: each is a row for every design with its chart, and few points stand in the others."""
     monkeypatch.setattr(experiment_charts, "MANY", 3)
