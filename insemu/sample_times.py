@@ -253,8 +253,10 @@ _AHEAD, _AT_ONCE, _EARLY, _RARE = 24, 3, 50.0, 1e-4
 
 def _by_delays(t: Array, interval: float, count: Array, stray: float) -> Array:
     """Samples of every step where each stamp has a delay of its own, exponential: the likeliest losses (Viterbi 1967), at the interval at which
-    stamps are most in step, losses or not (the peak of their periodogram).
+    stamps are most in step, losses or not (the peak of their periodogram). Where more is lost than that weighs at every step, the samples as given.
     """
+    if t[-1] - t[0] > (1.0 + _AT_ONCE) * t.size * interval:
+        return count
     bins = np.bincount(((t - t[0]) * (_BINS / interval)).astype(np.int64)).astype(np.float64)
     size = scipy.fft.next_fast_len(4 * bins.size)
     power = np.abs(scipy.fft.rfft(bins - bins.mean(), size))
@@ -335,7 +337,7 @@ def _clock(n: Array, t: Array, interval: float, late: NDArray[np.bool_]) -> tupl
     every, best, chosen = 2.0 * (n[-1] - n[0]), np.inf, (t, np.inf)
     distinct = 1.0 + np.count_nonzero(np.diff(t) > 0.0)
     whole, floor = 0.0, 0.5 * PRECISE * interval
-    shortest = max(_SHORTEST, _SHORTEST_S / interval)
+    shortest = max(_SHORTEST * max(1.0, (n[-1] - n[0]) / n.size), _SHORTEST_S / interval)  # of rows that are there
     while True:
         line = _line(n, t, every, weight)
         left = (t - line)[~late]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -205,3 +206,18 @@ def test_losses_are_counted_among_stamps_of_reception(share: float, delay: float
     assert abs(found.lost - lost) <= 1
     assert abs(found.interval / interval - 1.0) < 5e-6
     assert found.t.size == true.size and np.std(found.t - true) < 0.15 * interval
+
+
+def test_a_far_longer_gap_than_all_samples_costs_no_memory() -> None:
+    """The grids of the clock grow with the rows, not with the time that they span."""
+    delays = np.random.default_rng(3).exponential(0.004, 4000)
+    t = np.arange(4000) * 0.01 + delays
+    t[2000:] += 3e4
+    tracemalloc.start()
+    found = sample_times(t)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1e4 * t.size
+    assert np.abs(found.t - t).max() < 0.1 and (np.diff(found.t) > 0.0).all()
+    # the interval is that of blocks of 64 rows, whose ends scatter by 4 ms each: five standard errors of the median of 62 of them
+    assert found.lost == pytest.approx(3e6, rel=5 * 1.25 * np.sqrt(2 / 62) * 0.004 / 0.64)
