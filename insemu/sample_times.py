@@ -166,9 +166,8 @@ def _by_steps(spans: Array, stray: float) -> tuple[Array, NDArray[np.bool_]]:
     count = np.maximum(np.rint(spans), 1.0) if clear else np.ones(spans.size)
     late = np.zeros(spans.size + 1, dtype=np.bool_)
     long = np.flatnonzero(spans > (1.5 if clear else max(1.5 + 6.0 * stray, 4.0 * float(np.quantile(spans, 0.99)))))
-    if (
-        long.size
-    ):  # rows that were held up follow each other at once; one with too early a stamp comes at once, before a long step
+    # rows that were held up follow each other at once; one with too early a stamp comes at once, before a long step
+    if long.size:
         short = np.flatnonzero(spans < 0.5)
         breaks = np.append(np.setdiff1d(np.arange(spans.size), short), spans.size)
         after = breaks[np.searchsorted(breaks, long + 1)]
@@ -253,7 +252,7 @@ _AHEAD, _AT_ONCE, _EARLY, _RARE = 24, 3, 50.0, 1e-4
 
 def _by_delays(t: Array, interval: float, count: Array, stray: float) -> Array:
     """Samples of every step where each stamp has a delay of its own, exponential: the likeliest losses (Viterbi 1967), at the interval at which
-    stamps are most in step, losses or not (the peak of their periodogram). Where more is lost than that weighs at every step, the samples as given.
+    stamps are most in step (the peak of their periodogram). Where more is lost than that weighs at every step, the samples as given.
     """
     if t[-1] - t[0] > (1.0 + _AT_ONCE) * t.size * interval:
         return count
@@ -367,8 +366,7 @@ def _side(t: Array, left: Array, shared: float) -> int:
 def _envelope(n: Array, t: Array, every: float, late: NDArray[np.bool_], side: int) -> Array:
     """The line along the least delayed stamps: least squares in which errors on either side weigh differently (Newey and Powell, 1987)."""
     share = _LEAST if side > 0 else 1.0 - _LEAST
-    weight = np.where(late, 1e-9, 1.0)
-    line = t
+    weight, line = np.where(late, 1e-9, 1.0), t
     for _ in range(20):
         line = _line(n, t, every, weight)
         new = np.where(late, 1e-9, np.where(t > line, share, 1.0 - share))
