@@ -36,7 +36,7 @@ def test_records_become_rates_and_rates_become_records() -> None:
 
 
 @pytest.mark.parametrize("shares", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 0.2), (0.3, -0.7, 0.1)])
-def test_gnss_in_outages_out_is_the_turned_rate_of_the_frame(shares: tuple[float, float, float]) -> None:
+def test_what_is_left_out_is_the_turned_rate_of_the_frame(shares: tuple[float, float, float]) -> None:
     """Earth rate, transport rate and an acceleration along down, by rotation matrices."""
     rpy = np.stack([0.9 * numbers(N, 3), 0.3 * numbers(N, 4), 0.8 * numbers(N, 5)], axis=1)
     latitude, height, vel = 0.5 * numbers(N, 6), 4e4 * numbers(N, 7) ** 2, 90.0 * _rows(8, 3).T.copy()

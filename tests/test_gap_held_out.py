@@ -7,15 +7,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from benchmarks.foreign import sensors
-from benchmarks.foreign.judge import taken
 from insemu import rotation
 from insemu.gap import session
 from insemu.gap.candidates.mounting import Mounted
-from insemu.gap.drive.preparation import Flown
-from insemu.gap.drive.scene import Scene
 from insemu.gap.holdout import DriveScore, burst, scored
-from insemu.gap.problems.drive import find_effects
 from insemu.gap.verdict import Burst, Finding, GapReport, Interval, Step, Value, Where
 from insemu.report.gap import burst_said, is_better, render_gap
 from insemu.report.gap_charts import shrink_chart
@@ -151,20 +146,3 @@ def test_a_mounting_is_corrected_by_what_the_refined_filter_shows(
     np.testing.assert_allclose(rotation.dcm_from_rpy([v.value for v in now.parameters]), total, atol=1e-14)
     assert [v.high - v.value for v in now.parameters] == pytest.approx([v.high - v.value for v in more.parameters])
     assert [w.statistic for w in out.after] == ["whiteness", "new"]
-
-
-def test_a_search_that_begins_at_what_the_whole_shows_names_what_its_own_part_does() -> None:
-    """A lever arm is there throughout, a bias jumps behind the cut; the antenna's size follows from the fixes before it."""
-    world = sensors.draw_world(660001, 150.0, True)
-    arm = sensors.Hidden("lever_arm", "gnss", "x", {"value": 0.5})
-    jump = sensors.Hidden("bias_step", "accel", "z", {"value": 0.1, "start": 125.0})
-    scene = Scene.of(Flown.of(*taken(world, (arm, jump))).prepared)
-    cut = float(scene.motion.t[0]) + 100.0
-    whole = find_effects(scene, None, 3.0, (), lambda _: None)
-    assert "bias_step" in {f.chosen.effect for f in whole.found}
-    cold, warm = (find_effects(scene, cut, 3.0, (), lambda _: None, begun) for begun in (None, whole))
-    (name,) = {f.chosen.effect for f in warm.found}
-    assert name == "lever_arm" and [f.chosen.axes for f in warm.found] == [f.chosen.axes for f in cold.found]
-    (_, here, spread), (_, there, _) = (at.scene.field(cut).posterior(at.blocks) for at in (warm, cold))
-    # each filter is linear about a size of its own, within a tenth of a standard deviation
-    assert np.abs(here - there).max() < 0.1 * np.sqrt(np.diag(spread)).max()

@@ -283,7 +283,7 @@ def test_the_calibration_error_is_the_distance_of_confidence_and_share() -> None
 
 
 @pytest.mark.parametrize("frequency", [23.0, 61.0])
-def test_what_a_vibration_rectifies_is_within_gnss_in_outages_open(frequency: float) -> None:
+def test_what_a_vibration_rectifies_is_within_what_is_left_open(frequency: float) -> None:
     """Sculling of a turn and an acceleration in step: half the product of their amplitudes, of which nothing shows in the samples."""
     turn, force, n = 0.05, 5.0, 4_000
     t = np.arange(n) * DT

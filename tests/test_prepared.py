@@ -61,7 +61,7 @@ def test_mounting_and_clock_are_put_on_the_imu_and_on_the_state_that_a_file_carr
         prepared(turned, Stated(begin=900.0, where="here"))
 
 
-def test_gnss_in_outages_out_is_said_with_its_reason(recording: Recording) -> None:
+def test_what_is_left_out_is_said_with_its_reason(recording: Recording) -> None:
     imu, gnss = recording.imu, recording.gnss
     assert gnss is not None
     torn = replace(recording, imu=imu.rows((imu.t < 40.0) | (imu.t > 43.0)))

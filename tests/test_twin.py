@@ -85,8 +85,8 @@ def test_the_coarse_twin_errs_as_the_filter_does_where_the_linear_one_does_not(t
     assert coarse.rows == 10  # 0.2 s at 50 Hz
     preview = previewed(linear, 400)
     assert list(preview.beyond) == ["white"]  # and not "full", which knows its errors
-    told = {name: preview.figures_of(name) for name in linear.designs}
-    assert {name: (one.by, one.runs) for name, one in told.items()} == {
+    figures = {name: preview.figures_of(name) for name in linear.designs}
+    assert {name: (one.by, one.runs) for name, one in figures.items()} == {
         "white": ("coarse", 33),
         "full": ("linear", 400),
     }

@@ -40,19 +40,19 @@ def preview(experiment: Experiment, realizations: int, folder: Path, console: Co
     rows: list[dict[str, Any]] = []
     for name in twin.designs:
         for k, (start, duration) in enumerate(experiment.world.outage_windows):
-            told = found.figures_of(name, k)
+            figures = found.figures_of(name, k)
             rows.append(
                 {
                     "design": name,
-                    "by": told.by,
-                    "realizations": told.runs,
+                    "by": figures.by,
+                    "realizations": figures.runs,
                     "outage": k + 1,
                     "start_s": start,
                     "duration_s": duration,
-                    "mean_m": told.mean.value,
-                    "ci95_m": [told.mean.low, told.mean.high],
-                    "quantile_95_m": told.quantile_95,
-                    "rms_m": told.rms,
+                    "mean_m": figures.mean.value,
+                    "ci95_m": [figures.mean.low, figures.mean.high],
+                    "quantile_95_m": figures.quantile_95,
+                    "rms_m": figures.rms,
                     "stated_m": float(twin.stated[name][k]),
                 }
             )

@@ -180,17 +180,12 @@ def _durations(results: Results) -> str:
     """How long the outages are, and what they leave."""
     lengths = sorted({duration for _, duration in results.outages})
     span = f"{lengths[0]:g}" if len(lengths) == 1 else f"{lengths[0]:g} to {lengths[-1]:g}"
-    return f"after {span} s {gnss_in_outages(results.manifest.get('scenario', {}).get('gnss', {}))}"
+    return f"after {span} s {gnss_in_outages(results)}"
 
 
-def gnss_in_outages(gnss: Mapping[str, Any]) -> str:
-    """What the outages of a scenario leave of the satellites, for a sentence.
-
-    Parameters
-    ----------
-    gnss : mapping
-        The section of the resolved scenario.
-    """
+def gnss_in_outages(results: Results) -> str:
+    """What the outages of the scenario leave of the satellites, for a sentence."""
+    gnss = results.manifest.get("scenario", {}).get("gnss", {})
     kinds = {_satellites_in(outage) for outage in gnss.get("outages", ())}
     if gnss.get("areas") or gnss.get("random_outages"):
         kinds.add("")

@@ -355,13 +355,13 @@ def _linear_rows(experiment: Experiment, realizations: int, step: Progress) -> l
     step(0, realizations, "realizations")
     out, preview = [], previewed(twin, realizations)
     for name, stated_at in twin.stated.items():
-        told = preview.figures_of(name)
+        figures = preview.figures_of(name)
         stated = float(np.sqrt((stated_at**2).mean()))
-        factor = told.rms / stated
+        factor = figures.rms / stated
         knows = "yes" if 1.0 / MATERIAL <= factor <= MATERIAL else "optimistic" if factor > 1.0 else "pessimistic"
         out.append({
-            "design": name, "states": twin.designs[name].size, "error_m": told.mean.value, "low_m": told.mean.low,
-            "high_m": told.mean.high, "quantile_95_m": told.quantile_95, "stated_m": stated, "knows": knows, "by": told.by,
+            "design": name, "states": twin.designs[name].size, "error_m": figures.mean.value, "low_m": figures.mean.low,
+            "high_m": figures.mean.high, "quantile_95_m": figures.quantile_95, "stated_m": stated, "knows": knows, "by": figures.by,
             "why": preview.beyond[name].reason if name in preview.beyond else "",
         })  # fmt: skip
     return out

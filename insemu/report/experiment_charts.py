@@ -278,7 +278,7 @@ def flight_chart(results: Results) -> Chart:
     whole = View("Whole flight", "north of the start (m)", lines, labels=labels)
     return Chart(
         "Flight",
-        f"The reference from above with the spans {gnss_in_outages(results.manifest.get('scenario', {}).get('gnss', {}))}; "
+        f"The reference from above with the spans {gnss_in_outages(results)}; "
         "the other views show every design's track in one outage. The cursor of the "
         "charts over time is shown here, and that of the map there. Drag to zoom, double-click to undo.",
         None,

@@ -55,7 +55,7 @@ class Factor:
 
     @property
     def asks(self) -> bool:
-        """Whether there is something to explain: a factor that is told, far from 1, and not 1 by its interval."""
+        """Whether there is something to explain: a factor with a narrow interval, far from 1, and not 1 by its interval."""
         far = max(self.value, 1.0 / self.value) > WORTH_REASONS
         return self.decisive and far and not self.low <= 1.0 <= self.high
 

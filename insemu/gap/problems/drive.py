@@ -341,13 +341,6 @@ class DriveProblem(FinalFixes):
         self.recorded = scene.original.gnss
         self._take(scene.trimmed(self.blocks(), self.cut))
 
-    def begin(self, known: Named) -> None:
-        """Begin at what another part of the recording shows, but for the noise of the fixes, and weigh each of it here."""
-        first, self.found = self.scene, list(known.found)
-        self._take(known.scene)
-        self.noise_again(first)
-        reconsider(self)
-
     def hold_against_the_rest(self) -> None:
         """Weigh noise of the fixes against each effect that was weighed again without it."""
         for k, f in enumerate(self.found):
@@ -368,12 +361,7 @@ class DriveProblem(FinalFixes):
 
 
 def find_effects(
-    scene: Scene,
-    cut: float | None,
-    threshold: float,
-    without: Collection[str],
-    progress: Callable[[str], None],
-    begun: Named | None = None,
+    scene: Scene, cut: float | None, threshold: float, without: Collection[str], progress: Callable[[str], None]
 ) -> Named:
     """Search a recording, whole or up to a time.
 
@@ -381,12 +369,8 @@ def find_effects(
     ----------
     scene, cut, threshold, without, progress
         As :class:`DriveProblem` and :func:`insemu.gap.find_gap` say.
-    begun : Named, optional
-        What the whole recording shows, from which the search up to a time begins: each effect must be worth it there, next to the others.
     """
     problem = DriveProblem(scene, cut, threshold, without)
-    if begun is not None:
-        problem.begin(begun)
     search(problem, progress)
     if problem.noise_came_early():
         progress("the noise of the fixes again, next to what was found since")
@@ -412,19 +396,13 @@ def find_effects(
 
 @on_one_thread
 def _held_out(
-    at: RepairedDrive,
-    scene: Scene,
-    named: Named,
-    came: Flown | None,
-    threshold: float,
-    without: Collection[str],
-    policy: Policy,
+    at: RepairedDrive, scene: Scene, came: Flown | None, threshold: float, without: Collection[str], policy: Policy
 ) -> DriveScore:
     """Figures on the last part of the recording with effects named on the first; before them it is as it came."""
     with under(policy):
         start, end = float(scene.motion.t[0]), float(scene.motion.t[-1])
         cut = start + rules().naming_share * (end - start)
-        first = find_effects(scene, cut, threshold, without, lambda _: None, named)
+        first = find_effects(scene, cut, threshold, without, lambda _: None)
         plain = scene
         if came is not None:
             plain = Scene.of(came.prepared)
@@ -479,8 +457,8 @@ def find_dynamic_gap(
         without = (*without, "gnss_correlated_noise")
     competing = [v for v in bank(scene) if v.effect not in without]
     threshold = max(rules().least_nats, null_threshold(competing, scene.data, rng, always=scene.always))
+    scored = meanwhile(pool, _held_out, at, scene, came, threshold, without, rules())
     named = find_effects(scene, None, threshold, without, say)
-    scored = meanwhile(pool, _held_out, at, scene, named, came, threshold, without, rules())
     # a generator of its own: the search of a later pass draws what it always drew
     drawn, repeated = rng.spawn(2)
     starts = {name: r.start for name, r in at.fast}
